@@ -55,9 +55,7 @@ from eigenscan.tracker.evidence import (
     BEHIND,
     EMERGES,
     ENDS,
-    ENDS_LASTING,
     HIDES,
-    LASTING,
     LEAD,
     MOST,
     SHOWN_YET_MISSED,
@@ -391,10 +389,7 @@ def show(row: dict[str, Any]) -> None:
     print(f"{'tracker, ln of their ratio':<30} " + "".join(f"{nats:>+7.0f}" for nats in ratio))
     later = ", ".join(f"{steps} on {share:.0%}" for steps, share in row["aliases_go_on"].items())
     print(f"aliases: {row['aliases']:.1%} of wrong tracks (tracker {ALIASES:.1%}); {later}")
-    steps = np.array(GOES_ON)
-    beside, lasting = np.exp(-ENDS * steps), np.exp(-ENDS_LASTING * steps)
-    for which, stay in (("beside", beside), ("without", LASTING * lasting + (1.0 - LASTING) * beside)):
-        print(f"  the tracker, {which} a right track: " + ", ".join(f"{share:.0%}" for share in stay))
+    print("  the tracker: " + ", ".join(f"{np.exp(-ENDS * steps):.0%}" for steps in GOES_ON))
     for name, what in (("listed", "has"), ("not_listed", "lacks")):
         print(f"beside {row['wrong_tracks'][name]:.0f} wrong tracks whose list {what} the right place")
         print("        L   ahead by " + "".join(f"{low:>8g}.." for low in AHEAD[:-1]))

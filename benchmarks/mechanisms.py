@@ -209,7 +209,7 @@ MECHANISMS: Mapping[str, Patches] = {
     "how far ahead": ((evidence, "LEAD", 0.0),),
     "how far behind": ((evidence, "BEHIND", 0.0),),
     "aliases": ((evidence, "ALIASES", 1e-12),),
-    "aliases that last": ((evidence, "LASTING", 0.0),),
+    "places ahead together": ((evidence, "TOGETHER", 0.0),),
     "one turn shows a place": ((robot._Source, "new_turn", lambda _, moved, *__: moved.turn),),
     "places alike along a hallway": ((evidence, "ALIKE_M", 0.0),),
     "tracks that hide": ((evidence, "HIDES", 0.0),),

@@ -24,9 +24,7 @@ from eigenscan.tracker.evidence import (
     ALIKE_M,
     BEHIND,
     ENDS,
-    ENDS_LASTING,
     HIDES,
-    LASTING,
     LEAD,
     LEAST_MASS,
     MOST,
@@ -38,6 +36,7 @@ from eigenscan.tracker.evidence import (
     SLIP_SHARE,
     SLIPS,
     TAIL,
+    TOGETHER,
 )
 from eigenscan.tracker.observation import (
     FARTHEST,
@@ -96,7 +95,7 @@ class Readable(Belief):
             rest.searched[:, source] = 0.0
             shown = tracks.evidence.copy()
             shown[:, source] = 0.0
-            hidden, alias = tracks.hidden.copy(), np.zeros((len(tracks), 3))
+            hidden, alias = tracks.hidden.copy(), np.zeros(len(tracks))
             hidden[:, source] = 0.5
             tracks = replace(tracks, evidence=shown, hidden=hidden, alias=alias)
         mine = tracks.frame == frame
@@ -112,7 +111,7 @@ class Readable(Belief):
         grown = branch(old, seen, pairs, merit.of_pairs(pairs), first, source, share)
         begun = np.zeros((len(alone), len(self.sources)))
         begun[:, source] = merit.predicted
-        alias = of_each_kind(aliases_of(merit.predicted))
+        alias = aliases_of(merit.predicted)
         grown = at_least(grown, len(old), pairs, alone, begun, alias)
         k, log_weight = births(grown, seen, pairs, alone)
         new = begin(seen.poses[k], seen.covariances[k], log_weight, alias[k], begun[k], frame, seen.stamp)
@@ -242,6 +241,24 @@ def leads(seen: Observation) -> Array:
     return lead
 
 
+def together(seen: Observation) -> Array:
+    """What it is worth (k,) that a place and others are ahead of the rest together, nats."""
+    place, best = np.full(len(seen.poses), -1), list[float]()
+    for k in np.argsort(-seen.log_likelihoods, kind="stable"):
+        if place[k] >= 0:
+            continue
+        off = residual(seen.poses, seen.poses[k])
+        there = (np.hypot(off[:, 0], off[:, 1]) <= NEAR_M) & (np.abs(off[:, 2]) <= NEAR_RAD)
+        place[there & (place < 0)] = len(best)
+        best.append(seen.log_likelihoods[k])
+    if len(best) < 2:
+        return np.zeros(len(place))
+    size = np.arange(2, len(best))
+    worth = (TOGETHER * (np.array(best[1:-1]) - np.array(best[2:]))).clip(max=MOST) - np.log(size)
+    of_place = [worth[max(0, own - 1) :].max(initial=0.0) for own in range(len(best))]
+    return np.array(of_place)[place]
+
+
 @dataclass(frozen=True)
 class Merit:
     """What the hypotheses (k,) of a list are worth, in nats.
@@ -260,7 +277,7 @@ class Merit:
         lead = leads(seen)
         # that a poor fit may be of more poses makes the place no likelier
         spread = 1.5 * poorness(seen.log_likelihoods)
-        predicted = np.where(lead > 0.0, LEAD, BEHIND) * lead
+        predicted = np.where(lead > 0.0, LEAD, BEHIND) * lead + together(seen)
         return cls(seen.log_likelihoods + lead.clip(0.0, MOST) - spread, predicted.clip(-MOST, MOST))
 
     def of_pairs(self, pairs: Pairs) -> Array:
@@ -297,40 +314,28 @@ def aliases_of(predicted: Array) -> Array:
 
 
 def aliases_go_on(alias: Array, progress: float) -> Array:
-    """Aliases (n, 3) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
-    stay = np.exp(-np.array([ENDS, ENDS, ENDS_LASTING]) * progress)
-    none = (1.0 - _of_both(alias)).clip(min=0.0)
-    result: Array = alias * stay + none * of_each_kind(np.array([ALIASES])) * (1.0 - stay)
+    """Aliases (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+    stay = np.exp(-ENDS * progress)
+    result: Array = alias * stay + ALIASES * (1.0 - alias.sum()).clip(min=0.0) * (1.0 - stay)
     return result
-
-
-def of_each_kind(alias: Array) -> Array:
-    """Shares (k,) of new tracks by kind (k, 3): beside a right track; without one, brief and lasting."""
-    return alias[:, None] * np.array([1.0, 1.0 - LASTING, LASTING])
-
-
-def _of_both(values: Array) -> Array:
-    """Sum (3,) over tracks (n, 3): of the first kind alone, of the other two together."""
-    beside, *alone = values.sum(axis=0)
-    return np.array([beside, sum(alone), sum(alone)])
 
 
 def share_aliases(tracks: Tracks) -> Tracks:
     """The same tracks, of which at most one is an alias."""
-    return replace(tracks, alias=tracks.alias / _of_both(tracks.alias).clip(min=1.0))
+    return replace(tracks, alias=tracks.alias / tracks.alias.sum().clip(min=1.0))
 
 
 def explained_by_aliases(alias: Array, gained: Array, elsewhere: Array) -> tuple[float, Array, Array]:
     """How much likelier aliases make a scan, in nats, where no track (n,) is right.
 
-    Then the same (n,) where each track is right, but hidden; and the aliases (n, 3) after the scan.
+    Then the same (n,) where each track is right, but hidden; and the aliases (n,) after the scan.
     Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
     One that another source shows may be hidden from this one, with the probability `elsewhere` (n,).
     """
-    odds = alias * (elsewhere + (1.0 - elsewhere) * np.exp(gained))[:, None]
-    total = (1.0 - _of_both(alias)).clip(min=1e-12) + _of_both(odds)
-    others = (total[0] - odds[:, 0]) / (1.0 - alias[:, 0]).clip(min=1e-12)
-    return float(np.log(total[1])), np.log(others.clip(min=1e-12)), odds / total
+    odds = alias * (elsewhere + (1.0 - elsewhere) * np.exp(gained))
+    total = (1.0 - alias.sum()).clip(min=1e-12) + odds.sum()
+    others = (total - odds) / (1.0 - alias).clip(min=1e-12)
+    return float(np.log(total)), np.log(others.clip(min=1e-12)), odds / total
 
 
 def present_evidence(tracks: Tracks) -> Array:
@@ -410,7 +415,7 @@ def branch(
         branches,
         log_weight=log_weight,
         hidden=hidden_share,
-        alias=alias[origin] * np.exp(part)[:, None],
+        alias=alias[origin] * np.exp(part),
         evidence=evidence[origin],
         id=id_,
         parent=parent,
@@ -484,7 +489,7 @@ def at_least(
     """Branches after the first `alone`, each with at least the mass (k,) of its hypothesis alone.
 
     A track that was begun on a poor scan must not keep a good one from counting. The likeliest branch of a
-    hypothesis takes it, with the `evidence` (k, sources) and `alias` (k, 3) of a track that begins: with a
+    hypothesis takes it, with the `evidence` (k, sources) and `alias` (k,) of a track that begins: with a
     poor scan's it would gain from the next one what it has already, and get ahead of a place that looks the
     same and had no track.
     """
@@ -498,7 +503,7 @@ def at_least(
     joined[raised] = log_mass[k]
     evidences, aliases, rows = grown.evidence.copy(), grown.alias.copy(), raised + alone
     evidences[rows] = own[:, None] * evidences[rows] + (1.0 - own)[:, None] * evidence[k]
-    aliases[rows] = own[:, None] * aliases[rows] + (1.0 - own)[:, None] * alias[k]
+    aliases[rows] = own * aliases[rows] + (1.0 - own) * alias[k]
     return replace(grown, log_weight=log_weight, evidence=evidences, alias=aliases)
 
 

@@ -18,7 +18,7 @@ from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker, TracksOf
 
 def at(x: float, y: float, heading: float = 0.0, sigma: float = 0.05, frame: int = 1) -> Tracks:
     pose, spread = np.array([[x, y, heading]]), np.diag([sigma, sigma, 0.05])[None] ** 2
-    return begin(pose, spread, np.zeros(1), np.zeros((1, 3)), np.zeros((1, 1)), frame, 0)
+    return begin(pose, spread, np.zeros(1), np.zeros(1), np.zeros((1, 1)), frame, 0)
 
 
 def driven(way: float) -> Motion:

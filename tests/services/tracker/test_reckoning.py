@@ -38,7 +38,7 @@ def reported(delta: Pose, seconds: float = 1.0, unknown: float = 0.0) -> Motion:
 
 def tracks(stamp: int) -> Tracks:
     C = np.tile(np.diag([0.01, 0.02, 0.003]), (2, 1, 1))
-    return begin(START, C, np.log([0.5, 0.5]), np.zeros((2, 3)), np.zeros((2, 1)), 0, stamp)
+    return begin(START, C, np.log([0.5, 0.5]), np.zeros(2), np.zeros((2, 1)), 0, stamp)
 
 
 def steady(delta: Pose) -> Callable[[int, int], Motion]:

@@ -19,7 +19,7 @@ SURE = np.diag([0.01, 0.01, 0.001])[None]
 
 
 def _track(mass: float, frame: int = 0, off: float = 0.0) -> Tracks:
-    none = np.zeros((1, 3))
+    none = np.zeros(1)
     return begin(
         HERE + np.array([off, 0.0, 0.0]), SURE.copy(), np.log([mass]), none, np.zeros((1, 1)), frame, 0
     )
@@ -83,7 +83,7 @@ def _crowd(rng: np.random.Generator, count: int) -> Tracks:
         spots[rng.integers(4, size=count)] + rng.normal(size=(count, 3)) * 0.05,
         root @ root.swapaxes(1, 2) + np.eye(3) * 1e-3,
         np.sort(np.log(0.9 * rng.dirichlet(np.full(count, 0.5)) + 1e-6))[::-1].copy(),
-        rng.uniform(0.0, 0.1, (count, 3)),
+        rng.uniform(0.0, 0.1, count),
         rng.normal(size=(count, 2)),
         1,
         7,

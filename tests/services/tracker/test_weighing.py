@@ -45,7 +45,7 @@ def some_tracks(rng: np.random.Generator, count: int, sources: int, frames: int)
     evidence = rng.normal(size=(count, sources)) * 3.0 * rng.integers(2, size=(count, sources))
     tracks = begin(
         near_spots(rng, count), spread(rng, count), np.log(0.7 * share + 1e-12),
-        rng.uniform(0.0, 0.5 / max(count, 1), (count, 3)), evidence, 1, 3,
+        rng.uniform(0.0, 0.5 / max(count, 1), count), evidence, 1, 3,
     )  # fmt: skip
     return replace(
         tracks,

@@ -211,8 +211,6 @@ def _constants(off_map_share: float, missed: float) -> Constants:
         emerges(off_map_share),
         evidence.ALIASES,
         evidence.ENDS,
-        evidence.LASTING,
-        evidence.ENDS_LASTING,
         evidence.SLIPS,
         evidence.TAIL,
         observation.POORER,
@@ -222,4 +220,5 @@ def _constants(off_map_share: float, missed: float) -> Constants:
         off_map_share,
         CARRIED_SHARE,
         evidence.ALIKE_M,
+        evidence.TOGETHER,
     )

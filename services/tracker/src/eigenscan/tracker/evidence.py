@@ -33,7 +33,13 @@ so did a share of the likelihood itself. At most MOST either way. Rounded from w
 common, and two of rooms alike: benchmarks/evidence.py --way, --buildings.
 """
 
+TOGETHER = 0.4
+"""The same for each nat that several places of a list are ahead of its next, less ln of how many they are.
 
+One of them is likely right, but not which: that the best two are equal speaks for neither against the other,
+yet for both against a track that the list does not show. With as much as LEAD, an invented room is claimed
+(benchmarks/mechanisms.py --fault "an invented room").
+"""
 NEAR_M, NEAR_RAD = 0.5, float(np.radians(10.0))
 """Poses this near to each other are of one place."""
 ALIKE_M = 3.0
@@ -60,14 +66,6 @@ scan new evidence, how many of these it ceases to.
 More than most buildings have, 0.1 to 1.3 %, and fewer end, of 35 %: benchmarks/evidence.py. Else one that
 lasts takes the claim from a robot that is hidden (benchmarks/evaluate.py --only intel).
 """
-LASTING, ENDS_LASTING = 0.2, 0.05
-"""Where no track has the right place: of the aliases those that last, and how many of these end so.
-
-A hallway off the map may be like a mapped one to its end. By how many aliases go on for 10 to 15 times that
-way: benchmarks/evidence.py.
-"""
-
-
 SLIPS = 0.02
 """Of the tracks, how many odometry misleads by more than its noise, over the way that makes a scan new
 evidence. As many over less: lists that follow each other closely are not told apart."""
@@ -91,8 +89,6 @@ class Constants(NamedTuple):
     emerges: float
     aliases: float
     ends: float
-    lasting: float
-    ends_lasting: float
     slips: float
     tail: float
     poorer: float
@@ -102,6 +98,7 @@ class Constants(NamedTuple):
     off_map_share: float
     carried_share: float
     alike_m: float
+    together: float
 
 
 class Scan(NamedTuple):
@@ -123,7 +120,7 @@ class Listed(NamedTuple):
     `widened` (k, 3, 3): covariances with what the list cannot tell from them nearby, see `widened_each`.
     `alone`: ln p(list | the robot is there) / p(list | it is off the map), for a pose that nothing predicted.
     `predicted`: ln p(hypothesis | its track is right) / p(hypothesis | it is wrong), where a track was just
-    there. `alias` (k, 3): of the wrong tracks that it begins, how many are aliases, as `Tracks` have it.
+    there. `alias` (k,): of the wrong tracks that it begins, how many are aliases.
     """
 
     poses: Array
@@ -165,11 +162,12 @@ def listed(poses: Array, covariances: Array, log_likelihoods: Array, unlisted: f
     """
     kept = np.flatnonzero(log_likelihoods > unlisted + 1e-9)
     y, R, L = poses[kept], covariances[kept], log_likelihoods[kept]
-    lead = leads(y, L, unlisted)
+    place, best = places(y, L)
+    lead = leads(place, L, best, unlisted)
     alone = L + np.minimum(np.maximum(lead, 0.0), c.most) - 1.5 * poorness_each(L, c.poorer)
-    predicted = np.minimum(np.maximum(np.where(lead > 0.0, c.lead, c.behind) * lead, -c.most), c.most)
-    share = 1.0 / (1.0 + np.exp(-(np.log(c.aliases / (1.0 - c.aliases)) + predicted)))
-    alias = np.column_stack((share, (1.0 - c.lasting) * share, c.lasting * share))
+    predicted = np.where(lead > 0.0, c.lead, c.behind) * lead + together(best, c)[place]
+    predicted = np.minimum(np.maximum(predicted, -c.most), c.most)
+    alias = 1.0 / (1.0 + np.exp(-(np.log(c.aliases / (1.0 - c.aliases)) + predicted)))
     return Listed(y, R, widened_each(y, R, L, c.alike_m), alone, predicted, alias)
 
 
@@ -201,19 +199,46 @@ def widened_each(poses: Array, covariances: Array, log_likelihoods: Array, reach
 
 
 @inner()  # pragma: no cover - compiled
-def leads(poses: Array, log_likelihoods: Array, unlisted: float) -> Array:
+def places(poses: Array, log_likelihoods: Array) -> tuple[Index, Array]:
+    """Which place each hypothesis (k,) is of, the likeliest first, and the likelihood of each place (m,)."""
+    place, first = np.empty(len(poses), dtype=np.intp), np.empty(len(poses), dtype=np.intp)
+    count = 0
+    for k in np.argsort(-log_likelihoods, kind="mergesort"):
+        place[k] = count
+        for own in range(count):
+            if is_near(poses[k], poses[first[own]]):
+                place[k] = own
+                break
+        if place[k] == count:
+            first[count], count = k, count + 1
+    return place, log_likelihoods[first[:count]]
+
+
+@inner()  # pragma: no cover - compiled
+def leads(place: Index, log_likelihoods: Array, best: Array, unlisted: float) -> Array:
     """By how many nats (k,) hypotheses are ahead of the next place; those of other places behind the best."""
-    there, lead = np.zeros(len(poses), dtype=np.bool_), np.zeros(len(poses))
-    if not len(poses):
-        return lead
-    first, next_place = np.argmax(log_likelihoods), unlisted
-    for k in range(len(poses)):
-        there[k] = is_near(poses[k], poses[first])
-        if not there[k]:
-            next_place = max(next_place, log_likelihoods[k])
-    for k in range(len(poses)):
-        lead[k] = log_likelihoods[k] - (next_place if there[k] else log_likelihoods[first])
+    lead = np.zeros(len(place))
+    if len(place):
+        lead[:] = log_likelihoods - best[0]
+        if len(best) > 1:
+            unlisted = max(unlisted, best[1])
+        for k in np.flatnonzero(place == 0):
+            lead[k] = log_likelihoods[k] - unlisted
     return lead
+
+
+@inner()  # pragma: no cover - compiled
+def together(best: Array, c: Constants) -> Array:
+    """What it is worth, nats (m,), to be one of several places that are ahead of others together.
+
+    `best` (m,): their likelihoods, the best first. Of its groups a place counts the one that is worth most.
+    """
+    worth, most = np.zeros(len(best)), 0.0
+    for j in range(len(best) - 1, 1, -1):
+        most = max(most, min(c.together * (best[j - 1] - best[j]), c.most) - np.log(j))
+        worth[j - 1] = most
+    worth[:1] = most
+    return worth
 
 
 @inner()  # pragma: no cover - compiled
@@ -225,40 +250,31 @@ def hide_and_show(hidden: float, progress: float, c: Constants) -> float:
 
 @inner()  # pragma: no cover - compiled
 def aliases_go_on(alias: Array, progress: float, c: Constants) -> Array:
-    """Aliases (n, 3) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
-    brief, lasting = np.exp(-c.ends * progress), np.exp(-c.ends_lasting * progress)
-    beside = c.aliases * max(1.0 - alias[:, 0].sum(), 0.0)
-    alone = c.aliases * max(1.0 - alias[:, 1:].sum(), 0.0)
-    out = np.empty(alias.shape)
-    out[:, 0] = alias[:, 0] * brief + beside * (1.0 - brief)
-    out[:, 1] = alias[:, 1] * brief + (1.0 - c.lasting) * alone * (1.0 - brief)
-    out[:, 2] = alias[:, 2] * lasting + c.lasting * alone * (1.0 - lasting)
+    """Aliases (n,) after a robot moved on by `progress`, 1: a scan is new evidence; see `Tracks`."""
+    goes_on = np.exp(-c.ends * progress)
+    begins = c.aliases * max(1.0 - alias.sum(), 0.0)
+    out: Array = alias * goes_on + begins * (1.0 - goes_on)
     return out
 
 
 @inner()  # pragma: no cover - compiled
 def at_most_one(alias: Array) -> None:
-    """Of all tracks at most one is an alias (n, 3), beside a right one and without; in place."""
-    alias[:, 0] /= max(alias[:, 0].sum(), 1.0)
-    alias[:, 1:] /= max(alias[:, 1:].sum(), 1.0)
+    """Of all tracks at most one is an alias (n,); in place."""
+    alias /= max(alias.sum(), 1.0)
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled
 def explained_by_aliases(alias: Array, gained: Array, elsewhere: Array) -> tuple[float, Array, Array]:
     """How much likelier aliases make a scan, in nats, where no track (n,) is right.
 
-    Then the same (n,) where each track is right, but hidden; and the aliases (n, 3) after the scan.
+    Then the same (n,) where each track is right, but hidden; and the aliases (n,) after the scan.
     Of an alias it is as likely as of a right track, `gained` (n,): what looked right goes on looking right.
     One that another source shows may be hidden from this one, with the probability `elsewhere` (n,).
     """
-    likelier = elsewhere + (1.0 - elsewhere) * np.exp(gained)
-    odds = alias * likelier.reshape(-1, 1)
-    beside = max(1.0 - alias[:, 0].sum(), 1e-12) + odds[:, 0].sum()
-    alone = max(1.0 - alias[:, 1:].sum(), 1e-12) + odds[:, 1:].sum()
-    others = (beside - odds[:, 0]) / np.maximum(1.0 - alias[:, 0], 1e-12)
-    odds[:, 0] /= beside
-    odds[:, 1:] /= alone
-    return np.log(alone), np.log(np.maximum(others, 1e-12)), odds
+    odds = alias * (elsewhere + (1.0 - elsewhere) * np.exp(gained))
+    total = max(1.0 - alias.sum(), 1e-12) + odds.sum()
+    others = (total - odds) / np.maximum(1.0 - alias, 1e-12)
+    return np.log(total), np.log(np.maximum(others, 1e-12)), odds / total
 
 
 @inner(error_model="numpy")  # pragma: no cover - compiled

@@ -73,7 +73,7 @@ def heed(belief: Belief, hint: Hint, seen: Observation, moved: Motion) -> None:
     belief.source_index(seen.source)
     x, C = predict(hint.pose[None], hint.covariance[None], moved, belief.settings)
     evidence = np.zeros((1, len(belief.sources)))
-    track = begin(x, limit_sigma(C), np.log([BELIEVED]), np.zeros((1, 3)), evidence, frame, seen.stamp)
+    track = begin(x, limit_sigma(C), np.log([BELIEVED]), np.zeros(1), evidence, frame, seen.stamp)
     unseen = replace(track, observations=np.zeros(1, dtype=np.intp))
     belief.elsewhere.log_weight += np.log1p(-BELIEVED)
     belief.tracks = join([belief.tracks, unseen])

@@ -119,7 +119,7 @@ class Sequences(Belief):
             seen.poses[k],
             seen.covariances[k],
             least + fit - fit.max(initial=-np.inf),
-            np.zeros((len(k), 3)),
+            np.zeros(len(k)),
             np.zeros((len(k), len(self.sources))),
             frame,
             seen.stamp,

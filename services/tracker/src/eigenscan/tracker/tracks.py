@@ -21,8 +21,8 @@ class Tracks:
     """n Gaussian tracks: poses x (n, 3), covariances C (n, 3, 3), masses as logarithms (n,).
 
     `hidden` (n, sources): share of a track's mass in which the source does not show its pose: of two lidars
-    one may see what the map lacks. `alias` (n, 3): probability that the track, were it wrong, would be shown
-    as a right one is: beside a right track; without one, for a short way; and without one, for a long way.
+    one may see what the map lacks. `alias` (n,): probability that the track, were it wrong, would be shown
+    as a right one is.
     `evidence` (n, sources): the evidence of each source's scans from the present place for a track that is
     shown.
     `unchecked` (n, 4): way, m, and turn, rad, since a hypothesis last confirmed the track; and what of both
@@ -78,7 +78,7 @@ class Columns(NamedTuple):
 
 
 _DIMENSIONS = dict.fromkeys(Columns._fields, 1) | {
-    "x": 2, "C": 3, "hidden": 2, "alias": 2, "evidence": 2, "unchecked": 2, "fixed_x": 2,
+    "x": 2, "C": 3, "hidden": 2, "evidence": 2, "unchecked": 2, "fixed_x": 2,
     "fixed_covariance": 3,
 }  # fmt: skip
 _NUMBERED = ("fixed_at", "frame", "id", "parent", "born", "observations")
@@ -193,7 +193,7 @@ def no_tracks(sources: int) -> Tracks:
         np.zeros((0, 3, 3)),
         np.zeros(0),
         np.zeros((0, sources)),
-        np.zeros((0, 3)),
+        np.zeros(0),
         np.zeros((0, sources)),
         np.zeros((0, 4)),
         np.zeros(0),
