@@ -23,6 +23,7 @@ from eigenscan.workbench.evaluation.protocols import (
     single_scans,
 )
 from eigenscan.workbench.evaluation.reference import NS, EvaluationError, Trajectory, read_trajectory
+from eigenscan.workbench.evaluation.reported import Reported
 from eigenscan.workbench.evaluation.windows import (
     Window,
     plan_scans,
@@ -72,10 +73,10 @@ def evaluate(task: Task, bars: Bars) -> Figures:
         _check_overlap(task, log, reference)
     built = build(task.map, task.settings.mapbuilder, bars.start_share("model"))
     with Workers(task.jobs, built.models, log.beginning, task.settings) as workers:
-        source, fault = str(task.reference) if task.reference else RECORDED, ""
+        source, reported = str(task.reference) if task.reference else RECORDED, Reported()
         if reference is None:
             source = WHOLE_DRIVE
-            reference, fault = whole_drive(task.log, log, workers)
+            reference, reported = whole_drive(task.log, log, workers)
         if windows is None:
             windows = plan_windows(log.scans, reference)
         if times is None:
@@ -83,8 +84,9 @@ def evaluate(task: Task, bars: Bars) -> Figures:
         walls = Walls(DistanceField.of(built.site.grid), log.canonical)
         bench = Bench(log, reference, workers, bars.start, walls)
         figures = _figures(task, bench, built, windows, times)
-        faults = sorted({*figures.get("faults", ()), fault} - {""})
-        return finite({"reference": source} | figures | {"faults": faults})
+        # the windows are stretches of the drive
+        found = figures.get("reported") or reported.figures()
+        return finite({"reference": source} | figures | {"reported": found})
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ def evaluate_claims(task: ClaimsTask, bars: Bars) -> Figures:
         {"reference": source, "poses": str(task.poses)}
         | figures
         | {"windows_left_out": len(asked) - len(chosen), "single_scan": None, "peak_rss_mb": None}
-        | {"map_m2": None, "model": None, "log": _log_figures(log), "faults": []}
+        | {"map_m2": None, "model": None, "log": _log_figures(log), "reported": {}}
     )
 
 

@@ -11,6 +11,7 @@ from eigenscan.runtime.recording import RecordingError, read
 from eigenscan.schemas.channels import TRUTH
 from eigenscan.workbench.evaluation.log import Log
 from eigenscan.workbench.evaluation.reference import EvaluationError, Trajectory
+from eigenscan.workbench.evaluation.reported import Reported
 from eigenscan.workbench.evaluation.workers import Workers
 from eigenscan.workbench.logs import open_log
 from eigenscan.workbench.logs.recording import RecordingLog
@@ -40,8 +41,8 @@ def recorded_truth(path: Path, robot: str) -> Trajectory | None:
     return _trajectory(poses) if poses else None
 
 
-def whole_drive(path: Path, log: Log, workers: Workers) -> tuple[Trajectory, str]:
-    """The pipeline's claims when it receives the whole log in one run, and its fault, if any.
+def whole_drive(path: Path, log: Log, workers: Workers) -> tuple[Trajectory, Reported]:
+    """The pipeline's claims when it receives the whole log in one run, and what health reported.
 
     A wrong claim that a cold start makes too is not found by this. Raises EvaluationError.
     """
@@ -49,12 +50,13 @@ def whole_drive(path: Path, log: Log, workers: Workers) -> tuple[Trajectory, str
     stream = run.stream
     claimed = stream.where(stream.localized)
     if not len(claimed):
-        found = f". Health reported: {run.fault}" if run.fault else ""
+        longest = next(iter(run.reported.figures()), "")
+        found = f". Health reported: {longest}" if longest else ""
         raise EvaluationError(
             f"{path}: nowhere localized on this map, so nothing to compare with: is it the map of this "
             f"building? Otherwise give --ground-truth{found}"
         )
-    return _trajectory(dict(zip(claimed.stamps.tolist(), claimed.poses, strict=True))), run.fault
+    return _trajectory(dict(zip(claimed.stamps.tolist(), claimed.poses, strict=True))), run.reported
 
 
 def _trajectory(poses: dict[int, Pose]) -> Trajectory:

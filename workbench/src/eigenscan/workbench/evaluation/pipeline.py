@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 
 import numpy as np
@@ -24,6 +24,7 @@ from eigenscan.workbench.evaluation.chosen import PipelineSettings
 from eigenscan.workbench.evaluation.explained import explained_at_claims
 from eigenscan.workbench.evaluation.metrics import Stream
 from eigenscan.workbench.evaluation.remembering import Remembering
+from eigenscan.workbench.evaluation.reported import Reported
 from numpy.typing import NDArray
 
 Packed = tuple[tuple[str, bytes], ...]
@@ -47,13 +48,13 @@ class Run:
     """Result of a run: its poses, and the process time of each scan (n,), ms.
 
     `explained` (k,): share of the beams that the map explains, at claims whose scans list their pose.
-    `fault`: that of a lidar, or of scans and odometry together, in the last health; empty if there is none.
+    `reported`: faults of a lidar, or of scans and odometry together, that health reported.
     """
 
     stream: Stream
     cpu_ms: NDArray[np.float64]
     explained: NDArray[np.float64]
-    fault: str = ""
+    reported: Reported = field(default_factory=Reported)
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,11 @@ class Pipeline:
             list[int](),
             list[Envelope](),
         )
-        spent = at_last_scan = 0
+        spent, at_last_scan, reported = 0, 0, Reported()
+
+        def fault() -> str:
+            return _fault(ingest) or _fault(tracker).partition(": ")[2]  # without the robot's name
+
         loop.start()
         for envelope in received:
             before, owed = time.process_time_ns(), self._remembering.owed_ns
@@ -122,18 +127,18 @@ class Pipeline:
             spent += time.process_time_ns() - before + self._remembering.owed_ns - owed
             answers_published += _poses(answers, spent)
             published += answers
+            reported.look(envelope.stamp, fault)
             if envelope.channel == SCAN_RAW:
                 scans.append(envelope.stamp)
                 cpu_ms.append((spent - at_last_scan) / 1e6)
                 at_last_scan = spent
         rest = loop.finish()
         answers_published += _poses(rest, spent)
-        fault = _fault(ingest) or _fault(tracker).partition(": ")[2]  # without the robot's name
         published += rest
         stream = _stream(
             answers_published, _nis(answers_published, published), np.sort(np.asarray(scans, dtype=np.int64))
         )
-        return Run(stream, np.asarray(cpu_ms), explained_at_claims(published), fault)
+        return Run(stream, np.asarray(cpu_ms), explained_at_claims(published), reported)
 
     def answer(self, scan: Envelope) -> Answer:
         """Receives one raw scan: no odometry, no tracking, no prior."""

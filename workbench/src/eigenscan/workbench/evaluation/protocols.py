@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,6 +36,7 @@ from eigenscan.workbench.evaluation.metrics import (
 )
 from eigenscan.workbench.evaluation.oracle import decides, soon_after
 from eigenscan.workbench.evaluation.reference import NS, Trajectory
+from eigenscan.workbench.evaluation.reported import Reported
 from eigenscan.workbench.evaluation.windows import Window
 from eigenscan.workbench.evaluation.workers import Workers
 from numpy.typing import NDArray
@@ -78,7 +78,7 @@ def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | N
     """Cold starts at each window; `poses`: a file for all that was published."""
     advance = bench.progress("windows", len(windows))
     judged, rows, cpu, streams, explained = [], [], [], [], []
-    faults = Counter[str]()
+    reported = Reported()
     runs = bench.workers.runs(bench.log.between(window) for window in windows)
     for window, run in zip(windows, runs, strict=True):
         judged.append(judge(run.stream, bench.reference))
@@ -86,16 +86,14 @@ def global_localization(bench: Bench, windows: Sequence[Window], poses: Path | N
         cpu.append(run.cpu_ms)
         explained.append(run.explained)
         streams.append(run.stream)
-        if run.fault:
-            faults[run.fault] += 1
+        reported.add(run.reported)
         rows[-1]["reference_in_doubt"] = _in_doubt(bench, window, judged[-1])
         advance()
     if poses:
         write_poses(poses, streams)
     doubts = [row["reference_in_doubt"] for row in rows]
     return windows_figures(judged, rows) | {
-        "faults": sorted(faults),
-        "fault_windows": dict(sorted(faults.items())),
+        "reported": reported.figures(),
         "reference_in_doubt": {"claims": sum(doubts), "windows": sum(map(bool, doubts)), "rule": RULE},
         "map_explains": summary(np.concatenate([np.empty(0), *explained]), 5),
         "cpu_ms_per_scan": summary(np.concatenate([np.empty(0), *cpu]), 99),

@@ -54,7 +54,7 @@ def remarks(f: Figures) -> list[str]:
             f"the log states no mount of {lost} of its lidars, taken to be at the base's origin: "
             "eigenscan import --mount, then evaluate the MCAP"
         )
-    found += [_reported(f, words) for words in f.get("faults") or ()]
+    found += [_reported(f, words, row) for words, row in f.get("reported", {}).items()]
     explains = f["map_explains"]["median"]
     if explains is not None and explains < LITTLE:
         found.append(
@@ -70,10 +70,12 @@ def remarks(f: Figures) -> list[str]:
     return found
 
 
-def _reported(f: Figures, words: str) -> str:
-    """A fault as health had it at the end of some windows, or of the whole drive, and what may mend it."""
-    count = (f.get("fault_windows") or {}).get(words)
-    where = f" at the end of {count} of {f['windows']} windows" if count else ""
+def _reported(f: Figures, words: str, row: Figures) -> str:
+    """A fault that health reported in some windows, or in the whole drive, and what may mend it."""
+    where = f" for {row['seconds']:.0f} s"
+    if windows := f["per_window"]:
+        played = sum(each["end"] - each["start"] for each in windows)
+        where += f" of {played:.0f}, in {row['runs']} of {len(windows)} windows"
     mends = " (eigenscan import --mount, --odometry-topic)" if "odometry" in words or "mount" in words else ""
     return f"health reported{where}: {words}{mends}"
 
