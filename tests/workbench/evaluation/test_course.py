@@ -322,6 +322,8 @@ def test_a_lidar_that_is_mounted_otherwise_than_stated_is_noticed(drive: Drive, 
     faulty = _shown(figures).splitlines()
     assert faulty[-2].startswith("warning: health reported")
     assert sum(line.startswith("warning: ") for line in faulty) == 1
+    only_there = figures | {"reported": {"lidar covered": {"seconds": 12.0, "runs": 0}}}
+    assert remarks(only_there) == ["health reported for 12 s of the whole drive: lidar covered"]
 
 
 def test_a_lidar_in_millimetres_is_named_where_nothing_is_localized(drive: Drive, tmp_path: Path) -> None:

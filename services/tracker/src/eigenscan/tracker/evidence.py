@@ -40,6 +40,8 @@ One of them is likely right, but not which: that the best two are equal speaks f
 yet for both against a track that the list does not show. With as much as LEAD, an invented room is claimed
 (benchmarks/mechanisms.py --fault "an invented room").
 """
+
+
 NEAR_M, NEAR_RAD = 0.5, float(np.radians(10.0))
 """Poses this near to each other are of one place."""
 ALIKE_M = 3.0
@@ -66,6 +68,8 @@ scan new evidence, how many of these it ceases to.
 More than most buildings have, 0.1 to 1.3 %, and fewer end, of 35 %: benchmarks/evidence.py. Else one that
 lasts takes the claim from a robot that is hidden (benchmarks/evaluate.py --only intel).
 """
+
+
 SLIPS = 0.02
 """Of the tracks, how many odometry misleads by more than its noise, over the way that makes a scan new
 evidence. As many over less: lists that follow each other closely are not told apart."""

@@ -71,11 +71,12 @@ def remarks(f: Figures) -> list[str]:
 
 
 def _reported(f: Figures, words: str, row: Figures) -> str:
-    """A fault that health reported in some windows, or in the whole drive, and what may mend it."""
-    where = f" for {row['seconds']:.0f} s"
-    if windows := f["per_window"]:
+    """A fault that health reported in some windows, or only in the whole drive, and what may mend it."""
+    where = f" for {row['seconds']:.0f} s of the whole drive"
+    if row["runs"]:
+        windows = f["per_window"]
         played = sum(each["end"] - each["start"] for each in windows)
-        where += f" of {played:.0f}, in {row['runs']} of {len(windows)} windows"
+        where = f" for {row['seconds']:.0f} s of {played:.0f}, in {row['runs']} of {len(windows)} windows"
     mends = " (eigenscan import --mount, --odometry-topic)" if "odometry" in words or "mount" in words else ""
     return f"health reported{where}: {words}{mends}"
 
