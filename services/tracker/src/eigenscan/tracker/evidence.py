@@ -210,6 +210,8 @@ def places(poses: Array, log_likelihoods: Array) -> tuple[Index, Array]:
     for k in np.argsort(-log_likelihoods, kind="mergesort"):
         place[k] = count
         for own in range(count):
+            if abs(poses[k, 0] - poses[first[own], 0]) > NEAR_M:
+                continue  # most are far away
             if is_near(poses[k], poses[first[own]]):
                 place[k] = own
                 break
