@@ -42,7 +42,7 @@ HEAD = """# Benchmarks
 ```
 
 `benchmarks/record.py` writes this page from `benchmarks/results`. **Bold** misses a goal. *Load* is the load
-average before and after: above the number of cores, times are too high. Finished studies are in
+average before and after: above the number of cores, times are too high. Finished studies:
 [reports](reports.md).
 """
 
