@@ -33,6 +33,13 @@ def test_health_is_not_asked_between_two_looks() -> None:
     assert asked == [0, S]
 
 
+def test_a_clock_that_is_set_back_hides_no_fault() -> None:
+    found = Reported()
+    for stamp in (3600 * S, 3601 * S, 0, S, 2 * S):
+        found.look(stamp, lambda stamp=stamp: "clock set back" if stamp < 3600 * S else "")  # type: ignore[misc]
+    assert found.figures() == {"clock set back": {"seconds": 3.0, "runs": 1}}
+
+
 def test_words_that_differ_in_numbers_are_one_fault_over_all_runs() -> None:
     found = Reported()
     found.add(run("scans come 0.5 s late", "scans come 2 s late", ""))

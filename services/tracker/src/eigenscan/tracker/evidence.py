@@ -143,6 +143,8 @@ def likelihood_at(pose: Array, seen: Observation) -> float:
 @inner()  # pragma: no cover - compiled
 def is_near(y: Array, x: Array) -> bool:
     """Whether two poses (3,) are of one place."""
+    if abs(y[0] - x[0]) > NEAR_M:
+        return False  # most are far away
     ahead, left, turn = apart(y, x)
     return bool(np.hypot(ahead, left) <= NEAR_M and abs(turn) <= NEAR_RAD)
 
@@ -210,8 +212,6 @@ def places(poses: Array, log_likelihoods: Array) -> tuple[Index, Array]:
     for k in np.argsort(-log_likelihoods, kind="mergesort"):
         place[k] = count
         for own in range(count):
-            if abs(poses[k, 0] - poses[first[own], 0]) > NEAR_M:
-                continue  # most are far away
             if is_near(poses[k], poses[first[own]]):
                 place[k] = own
                 break
@@ -223,13 +223,10 @@ def places(poses: Array, log_likelihoods: Array) -> tuple[Index, Array]:
 @inner()  # pragma: no cover - compiled
 def leads(place: Index, log_likelihoods: Array, best: Array, unlisted: float) -> Array:
     """By how many nats (k,) hypotheses are ahead of the next place; those of other places behind the best."""
-    lead = np.zeros(len(place))
-    if len(place):
-        lead[:] = log_likelihoods - best[0]
-        if len(best) > 1:
-            unlisted = max(unlisted, best[1])
-        for k in np.flatnonzero(place == 0):
-            lead[k] = log_likelihoods[k] - unlisted
+    if not len(best):
+        return np.zeros(0)
+    next_place = max(unlisted, best[1]) if len(best) > 1 else unlisted
+    lead: Array = log_likelihoods - np.where(place == 0, next_place, best[0])
     return lead
 
 

@@ -127,14 +127,15 @@ class Pipeline:
             spent += time.process_time_ns() - before + self._remembering.owed_ns - owed
             answers_published += _poses(answers, spent)
             published += answers
-            reported.look(envelope.stamp, fault)
             if envelope.channel == SCAN_RAW:
+                reported.look(envelope.stamp, fault)
                 scans.append(envelope.stamp)
                 cpu_ms.append((spent - at_last_scan) / 1e6)
                 at_last_scan = spent
         rest = loop.finish()
         answers_published += _poses(rest, spent)
         published += rest
+        reported.count(fault())  # also where scans had ended before
         stream = _stream(
             answers_published, _nis(answers_published, published), np.sort(np.asarray(scans, dtype=np.int64))
         )
