@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,14 @@ def test_without_odometry_each_scan_has_an_answer(localizer: Localizer, drive: P
     states = [localizer.track(scan).state for scan, _ in read_log(drive / "drive.mcap")[:10]]
     assert len(states) == 10
     assert set(states) <= {"lost", "ambiguous", "localized"}
+
+
+def test_without_odometry_a_scan_after_a_pause_has_an_answer(localizer: Localizer, drive: Path) -> None:
+    scan, _ = next(iter(read_log(drive / "drive.mcap")))
+    pauses = (0.1, 1.5, 3600.0, 0.1)
+    times = np.cumsum([scan.time, *pauses]).tolist()
+    answers = [localizer.track(replace(scan, time=time)) for time in times]
+    assert all(np.isfinite(answer.pose).all() for answer in answers)
 
 
 def test_a_model_folder_an_image_and_the_yaml_are_the_same_map(

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 from eigenscan.runtime.recording import PROFILE, RecordingError, RecordingWriter, read, read_metadata
-from eigenscan.schemas.channels import CHANNELS, POSE, SCAN
+from eigenscan.schemas.channels import CHANNELS, MODEL_SET, POSE, SCAN
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.wire import encode
 from hypothesis import given
@@ -84,6 +85,26 @@ def test_it_gives_back_what_was_written(recording: Path) -> None:
         (channel,) = reader.get_summary().channels.values()  # type: ignore[union-attr]
     assert channel.topic == "s/robot/r/scan/l"
     assert channel.metadata["contract"] == "1"
+
+
+@pytest.mark.parametrize(
+    ("begin", "expected"), [(5, ["new"]), (4, ["old", "new"]), (15, ["new"]), (3, ["old", "new"])]
+)
+def test_from_a_time_on_a_folder_gives_each_latched_key_once(
+    tmp_path: Path, begin: int, expected: list[str]
+) -> None:
+    pose = Envelope(POSE, {"site": "s", "robot": "r"}, POSE.message())
+    for name, versions in (("a", {1: "old"}), ("b", {3: "old", 4: "new"}), ("c", {11: "new"})):
+        with RecordingWriter(tmp_path / f"{name}.mcap") as writer:
+            for time, version in versions.items():
+                writer.write(Envelope(MODEL_SET, {"site": "s"}, ModelSet(version=version)), log_time=time)
+            writer.write(pose, log_time=max(versions) + 1)
+    records = list(read(tmp_path, begin))
+    sets = [
+        record.envelope.open(ModelSet).version for record in records if record.envelope.channel is MODEL_SET
+    ]
+    assert sets == expected
+    assert all(record.log_time >= begin for record in records if record.envelope.channel is POSE)
 
 
 @given(times=st.lists(st.integers(0, 3), max_size=40), flush_every=st.integers(1, 12))

@@ -1,6 +1,8 @@
 """What a stopped core does with the messages that still wait."""
 
+import threading
 from collections.abc import Iterable
+from typing import Any
 
 import pytest
 from eigenscan.runtime.counters import Counters
@@ -40,13 +42,24 @@ class Noting:
         return Condition(Health.STATUS_OK, "", {})
 
 
-class Stopped:
-    """The end was asked for before the work began."""
+class Stop:
+    """Whether the end was asked for; by default before the work began."""
 
-    stopping = True
+    def __init__(self, stopping: bool = True) -> None:
+        self.stopping = stopping
 
     def set(self) -> None:
         """Nobody waits."""
+
+
+def put(inbox: Inbox, sequence: int) -> None:
+    payload = encode(Scan(frame_id="lidar", sequence=sequence))
+    inbox.put(SCAN, "site/robot/r1/scan/front", payload, encoding(SCAN))
+
+
+def work_of(core: Noting, inbox: Inbox, stop: Stop, **how: Any) -> Work:
+    monitor, counters = Monitor("noting", "r1", "0"), Counters(logger())
+    return Work(core, inbox, lambda envelope: None, lambda arrival: None, monitor, counters, stop, **how)
 
 
 @pytest.mark.parametrize(("drain_s", "handled"), [(60.0, [0, 1, 2]), (0.0, [])])
@@ -55,19 +68,42 @@ def test_a_stopped_core_handles_what_waits_only_if_it_has_time_for_it(
 ) -> None:
     core, inbox = Noting(), Inbox()
     for sequence in range(3):
-        payload = encode(Scan(frame_id="lidar", sequence=sequence))
-        inbox.put(SCAN, "site/robot/r1/scan/front", payload, encoding(SCAN))
-    work = Work(
-        core,
-        inbox,
-        lambda envelope: None,
-        lambda arrival: None,
-        Monitor("noting", "r1", "0"),
-        Counters(logger()),
-        Stopped(),
-        drain_s=drain_s,
-    )
+        put(inbox, sequence)
+    work = work_of(core, inbox, Stop(), drain_s=drain_s)
     inbox.close(discard=not drain_s)
     work.run()
     assert core.handled == handled
     assert core.finished_after == len(handled)
+
+
+def test_a_prompt_core_that_is_stopped_while_samples_wait_ends() -> None:
+    inbox, stop = Inbox(), Stop(stopping=False)
+
+    class StoppedAtOnce(Noting):
+        def handle(self, received: Envelope) -> Iterable[Envelope]:
+            stop.stopping = True
+            inbox.close()
+            return super().handle(received)
+
+    core = StoppedAtOnce()
+    for sequence in range(3):
+        put(inbox, sequence)
+    thread = threading.Thread(target=work_of(core, inbox, stop, prompt=True).run, daemon=True)
+    thread.start()
+    thread.join(20.0)
+    assert not thread.is_alive()
+    assert core.handled == [0]
+    assert core.finished_after == 1
+
+
+def test_who_sends_to_a_prompt_core_that_has_ended_is_not_held() -> None:
+    core, inbox = Noting(), Inbox()
+    work = work_of(core, inbox, Stop(), prompt=True)
+    inbox.close()
+    work.run()
+    sender = threading.Thread(target=put, args=(inbox, 0), daemon=True)
+    sender.start()
+    sender.join(20.0)
+    assert not sender.is_alive()
+    assert core.handled == []
+    assert len(inbox) == 0

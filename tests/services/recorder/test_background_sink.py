@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 
 import pytest
 from eigenscan.recorder.background_sink import WAITING, BackgroundSink
+from eigenscan.recorder.core import RecorderCore
 from eigenscan.schemas.channels import MAP, POSE
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
@@ -115,3 +116,16 @@ def test_what_fails_is_counted_and_logged_once(caplog: pytest.LogCaptureFixture,
     assert numbers(sink) == [0, 2, 4, 6, 8]
     assert background.counters["undrawable"] == 5
     assert caplog.text.count("ValueError: undrawable") == 1
+
+
+def test_what_two_sinks_lose_adds_up(patient: None) -> None:
+    failing, good = Slow(fails_on=lambda received: True), Slow()
+    sinks = [BackgroundSink(failing), BackgroundSink(good)]
+    failing.may_write.set()
+    good.may_write.set()
+    core = RecorderCore(sinks)
+    for number in range(3):
+        list(core.handle(pose(number)))
+    await_that(lambda: sinks[0].counters["undrawable"] == 3 and len(good.written) == 3)
+    list(core.finish())
+    assert core.condition().counters == {"drawn": 14, "undrawn": 0, "undrawable": 3}

@@ -175,6 +175,25 @@ def test_scans_wait_for_the_mount_and_report_it() -> None:
     assert len(listen(bridge, "%scan", scan())) == 1
 
 
+def test_a_lidar_that_lacks_something_is_reported_while_another_one_sends_scans() -> None:
+    bridge = core(scan=["front", "rear"])
+    listen(bridge, "%odom", odometry(0, 0, 0))
+    listen(bridge, "%tf_static", MOUNT)
+    for _ in range(2):
+        listen(bridge, "%front", scan())
+        assert bridge.condition().detail == "no scan yet on /rear"
+    details = set[str]()
+    for _ in range(2):
+        for endpoint, frame in (("%front", "laser"), ("%rear", "unknown")):
+            listen(bridge, endpoint, scan(frame))
+            details.add(bridge.condition().detail)
+    assert details == {"no scan yet on /rear", bridge.condition().detail}
+    assert bridge.condition().detail.startswith("/rear: ")
+    assert bridge.condition().status == Health.STATUS_WAITING
+    listen(bridge, "%rear", scan())
+    assert bridge.condition().status == Health.STATUS_OK
+
+
 def test_a_tilted_lidar_is_not_for_this() -> None:
     bridge = core(base_frame="base_link")
     listen(bridge, "%tf_static", transform("base_link", "laser", (0, 0, 0), (0.0, 0.5, 0.0, 0.8)))

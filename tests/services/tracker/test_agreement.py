@@ -31,13 +31,18 @@ STEP: Step = (0.05, 0.0, 0.03)
 
 
 def motion(
-    time: float, since: float, moved: Step | None, repeats: int = 0, explained: float = 0.9
+    time: float,
+    since: float,
+    moved: Step | None,
+    repeats: int = 0,
+    explained: float = 0.9,
+    lidar: str = "front",
 ) -> Envelope:
     end, start = (stamp(round(each * 1e9)) for each in (time, since))
     message = ScanMotion(timestamp=end, since=start, repeats=repeats, watched=True, explained=explained)
     if moved is not None:
         message.motion.CopyFrom(to_message(np.array(moved)))
-    return Envelope(SCAN_MOTION, {"site": "s", "robot": "r", "lidar": "front"}, message)
+    return Envelope(SCAN_MOTION, {"site": "s", "robot": "r", "lidar": lidar}, message)
 
 
 def drive(

@@ -15,7 +15,9 @@ from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Hypothesis
 from eigenscan.schemas.scan_pb2 import ScanMotion
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate, Relocation, Tracks
 from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.odometry import ASKED_AT_MOST, OdometryTrail
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.velocity_gate import VelocityGate
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
@@ -256,6 +258,14 @@ def test_a_gap_in_the_log_is_no_future(make_core: MakeCore, speaker: Speaker, po
     after = standing(core, speaker, poses_of, 70.0, 5)
     assert len(after) == 5
     assert is_right(after[-1])
+
+
+def test_without_odometry_scans_leave_no_more_behind_than_with_it() -> None:
+    trail = OdometryTrail(VelocityGate(2.0, 3.0))
+    trail.take(0, (0.0, 0.0, 0.0))
+    for scan in range(10 * ASKED_AT_MOST):
+        assert trail.at(scan * 100_000_000) is not None
+    assert len(trail._asked) <= ASKED_AT_MOST
 
 
 @pytest.mark.parametrize("apart_s", [1.1, 2.0, 30.0])

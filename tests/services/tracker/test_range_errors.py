@@ -130,7 +130,7 @@ def test_a_stranger_cannot_make_it_grow() -> None:
     found = RangeErrors()
     for start in range(0, 1000, TRIED):
         found.take("front", {RangeError(1.0, start + k): -1.0 for k in range(TRIED)})
-    assert len(found._lidars["front"].odds) <= TRIED
+    assert len(found._lidars.of("front").odds) <= TRIED
 
 
 def test_a_robot_whose_ranges_are_wrong_is_not_localized(

@@ -190,7 +190,8 @@ def _new_tracker(method: str, site: SiteModel) -> TrackerCore:
     from eigenscan.tracker.core import TrackerCore
     from eigenscan.tracker.settings import TrackerSettings
 
-    tracker = TrackerCore(TrackerSettings.model_validate(of_service(method, "tracker")))
+    settings = TrackerSettings.model_validate(of_service(method, "tracker"))
+    tracker = TrackerCore(settings, believes_stamps=True)
     list(tracker.handle(Envelope(MODEL_SET, {"site": DEFAULT_SITE}, site.to_message())))
     return tracker
 

@@ -103,6 +103,8 @@ class Inbox:
         )
         depth = channel.qos.depth
         with self._ready:
+            if self._discards:
+                return
             if not self._waiting:
                 self._through_at = self._clock()
             orders = self._orders.get(key)
@@ -124,6 +126,8 @@ class Inbox:
 
     def put_unsorted(self, take: Take, sample: Any) -> None:
         """Adds a sample as it came; `take` puts it when the core's thread looks, where that is cheap."""
+        if self._discards:
+            return
         self._unsorted.append((take, sample, self._time_of_day()))
         if len(self._unsorted) > MOST_UNSORTED:
             self.sort()
@@ -150,7 +154,7 @@ class Inbox:
         if timeout and not self._waiting and self._wait(timeout):
             self.sort()
         with self._ready:
-            if not self._waiting or self._discards:
+            if not self._waiting:
                 return None
             arrival = self._waiting[next(iter(self._waiting))]
             orders = self._orders[arrival.key]
@@ -204,9 +208,14 @@ class Inbox:
             self._dropped[reason] += 1
 
     def close(self, *, discard: bool = True) -> None:
-        """Wakes the waiting thread. `take` returns None from now on; without `discard`, after what waits."""
+        """Wakes the waiting thread. `discard`: what waits is dropped, and what is put from now on."""
         with self._ready:
             self._closed, self._discards = True, discard
+            if discard:
+                self._unsorted.clear()
+                self._waiting.clear()
+                self._orders.clear()
+                self._bytes = 0
             self._ready.notify_all()
 
     @property

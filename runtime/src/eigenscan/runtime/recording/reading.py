@@ -40,13 +40,21 @@ def read(path: Path, begin: int = 0) -> Iterator[Record]:
         yield from _read_file(path, begin)
         return
     latched: dict[str, bytes] = {}
+    held: dict[str, Record] = {}  # each file has a newest earlier message of a key
     for record in _merged(parts(path), begin):
         if record.envelope.channel.qos.latched:
             key, payload = record.envelope.key, encode(record.envelope.message)
             if latched.get(key) == payload:
                 continue
             latched[key] = payload
+            if record.log_time < begin:
+                held.pop(key, None)  # keeps the order of time
+                held[key] = record
+                continue
+        yield from held.values()
+        held.clear()
         yield record
+    yield from held.values()
 
 
 def _merged(files: list[Path], begin: int) -> Iterator[Record]:

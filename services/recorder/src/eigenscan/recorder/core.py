@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
 
@@ -68,6 +69,8 @@ class RecorderCore:
     def condition(self) -> Condition:
         """Degraded as soon as one sink has a problem."""
         problems = "; ".join(sink.problem for sink in self._sinks if sink.problem)
-        counters = {name: count for sink in self._sinks for name, count in sink.counters.items()}
+        counters = Counter[str]()
+        for sink in self._sinks:  # some count under the same names
+            counters.update(sink.counters)
         status = Health.STATUS_DEGRADED if problems else Health.STATUS_OK
         return Condition(status, problems, counters)

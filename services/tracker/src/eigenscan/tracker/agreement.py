@@ -8,14 +8,15 @@ similar place goes on as well as the right place does.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from math import hypot
 
 import numpy as np
 from eigenscan.schemas.channels import FOLLOWS
 from eigenscan.tracker.faults import LATE_S, WITHOUT_SIGN, Faults
 from eigenscan.tracker.lateness import Lateness
+from eigenscan.tracker.lidars import Lidars
 from eigenscan.tracker.odometry import Motion, OdometryTrail
 from eigenscan.tracker.planar import IDENTITY, Pose
 
@@ -69,21 +70,27 @@ class ScanInterval:
         return self.watched and self.explained >= FOLLOWS
 
 
+@dataclass
+class _Lidar:
+    """What one lidar's scan motion has shown."""
+
+    faults: Faults = field(default_factory=Faults)
+    differed: int | None = None
+    """If its scans are watched, stamp of the newest that did not agree, ns; 0: all did."""
+    taken: int | None = None
+    """Stamp of the newest scan whose motion was held against odometry's, ns."""
+
+
 class Agreement:
     """How far scan motion and odometry of one robot agree."""
 
     def __init__(self) -> None:
-        self._faults: dict[str, Faults] = {}
+        self._lidars = Lidars(_Lidar)
         self._lateness = Lateness()
         self._waiting: deque[ScanInterval] = deque(maxlen=64)
         self._jumps: deque[int] = deque(maxlen=JUMPS)
         self._repeated: deque[tuple[str, int]] = deque(maxlen=64)
         self._received: deque[tuple[str, int, int]] = deque(maxlen=64)
-        self._differed: dict[str, int] = {}
-        """By lidar whose scans are watched, stamp of the newest that did not agree, ns."""
-        self._taken: dict[str, int] = {}
-        """By lidar, stamp of the newest scan whose motion was held against odometry's, ns."""
-        self._now = 0
         self.disagreed = False
         """Whether odometry and scans differed when they were last compared."""
 
@@ -92,41 +99,42 @@ class Agreement:
         """Probability that the scans of each lidar show the robot's motion."""
         if self.two_robots:
             return 0.0
-        return min(each.trust for each in self._faults.values() or (UNSEEN,))
+        return min((each.trust for each in self._faults()), default=UNSEEN.trust)
 
     @property
     def proven(self) -> float:
         """Probability that each lidar is set up right, as far as motion has shown it."""
-        return min(each.proven for each in self._faults.values() or (UNSEEN,))
+        return min((each.proven for each in self._faults()), default=UNSEEN.proven)
 
     @property
     def right(self) -> float:
         """The same by how probably a mount is loose: what a protection level rests on."""
-        return min(each.right for each in self._faults.values() or (UNSEEN,))
+        return min((each.right for each in self._faults()), default=UNSEEN.right)
 
     @property
     def reversed(self) -> bool:
         """Whether odometry counted backwards as forwards when it was last compared."""
-        return any(each.backwards for each in self._faults.values())
+        return any(each.backwards for each in self._faults())
 
     @property
     def fault(self) -> str:
         """Why odometry and scans rather do not agree, or did not lately; empty while they do."""
         if self.two_robots:
             return "odometry jumps again and again: do two robots use this name?"
-        for lidar, faults in self._faults.items():
-            if fault := faults.fault:
-                return fault if len(self._faults) == 1 else f"{lidar}: {fault}"
+        present = list(self._lidars.present())
+        for name, lidar in present:
+            if fault := lidar.faults.fault:
+                return fault if len(present) == 1 else f"{name}: {fault}"
         if self._jumps and self._was_lately(self._jumps[-1]):
             return "odometry jumped: was it reset, or do two robots use this name?"
-        return WITHOUT_SIGN if any(each.without_sign for each in self._faults.values()) else ""
+        return WITHOUT_SIGN if any(each.without_sign for each in self._faults()) else ""
 
     @property
     def note(self) -> str:
         """What is wrong and has no effect on poses; empty: nothing."""
         delay = self._lateness.delay
         late = f"scans are stamped {delay * 1e-9:.2f} s late; made up for" if delay >= REPORTED_NS else ""
-        return late or next((each.note for each in self._faults.values() if each.note), "")
+        return late or next((each.note for each in self._faults() if each.note), "")
 
     def is_repeated(self, lidar: str, stamp: int) -> bool:
         """Whether a scan repeats the one before: it shows nothing new."""
@@ -138,21 +146,20 @@ class Agreement:
         Its motion differed from odometry's, or it hardly fitted: of a lidar that is watched such motion is
         published with its scan. None: nobody watches.
         """
-        differed = self._differed.get(lidar)
-        return None if differed is None else differed > since
+        known = self._lidars.get(lidar)
+        return None if known is None or known.differed is None else known.differed > since
 
     def note_jump(self, stamp: int) -> None:
         """Odometry's frame jumped."""
         self._jumps.append(stamp)
-        self._now = stamp
+        self._lidars.now = stamp
 
     def restart(self) -> None:
         """Odometry's clock was set back: what waits is of another time."""
         self._waiting.clear()
-        self._differed.clear()
-        self._taken.clear()
-        for faults in self._faults.values():
-            faults.restart()
+        for lidar in self._lidars.all():
+            lidar.faults.restart()
+            lidar.differed = lidar.taken = None
 
     @property
     def two_robots(self) -> bool:
@@ -160,7 +167,11 @@ class Agreement:
         return len(self._jumps) == JUMPS and all(map(self._was_lately, self._jumps))
 
     def _was_lately(self, jump: int) -> bool:
-        return abs(self._now - jump) <= JUMPS_NS
+        return abs(self._lidars.now - jump) <= JUMPS_NS
+
+    def see(self, lidar: str, stamp: int) -> None:
+        """A scan of this stamp, ns, came from a lidar."""
+        self._lidars.see(lidar, stamp)
 
     def receive(self, interval: ScanInterval) -> None:
         """Keeps an interval until odometry has come as far; once, for it comes alone and with hypotheses."""
@@ -180,17 +191,18 @@ class Agreement:
         By stamps, whatever came first: what arrived early counts no sooner. Gives the intervals over which
         the scans show the motion well, in order, each with odometry's. Sets the trail's delay.
         """
-        self._now, found = until, []
+        self._lidars.now, found = until, []
         due = [each for each in self._waiting if each.stamp <= until]
         for interval in sorted(due, key=lambda each: (each.stamp, each.lidar)):
             self._waiting.remove(interval)
             if not interval.since < interval.stamp:
                 continue
+            lidar = self._lidars.see(interval.lidar, interval.stamp)
             driven = trail.between(interval.since, interval.stamp)
             if _is_far(driven, interval):
-                self._note(interval, agrees=False)
+                _note(lidar, interval, agrees=False)
                 if interval.moved is not None and driven.breaks <= 0:
-                    self._of(interval.lidar).take_far(interval.moved, driven)
+                    lidar.faults.take_far(interval.moved, driven)
                 continue
             if interval.moved is not None and not interval.repeats:
                 found.append((interval, driven))
@@ -198,26 +210,17 @@ class Agreement:
             coarse = max(map(trail.spacing, ends)) > COARSE_NS
             known = abs(driven.unknown) <= min(UNKNOWN_S, driven.seconds / 2.0)
             if driven.breaks <= 0 and known and not coarse:
-                self._take(_widened(interval, map(trail.leeway, ends)), driven, trail)
-                self._note(interval, agrees=not self.disagreed)
+                self._take(lidar, _widened(interval, map(trail.leeway, ends)), driven, trail)
+                _note(lidar, interval, agrees=not self.disagreed)
         return found
 
-    def _note(self, interval: ScanInterval, *, agrees: bool) -> None:
-        if interval.watched:
-            before = self._differed.get(interval.lidar, 0)
-            self._differed[interval.lidar] = before if agrees and interval.follows else interval.stamp
-
-    def _take(self, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
-        faults = self._of(interval.lidar)
+    def _take(self, lidar: _Lidar, interval: ScanInterval, driven: Motion, trail: OdometryTrail) -> None:
+        faults = lidar.faults
         if interval.moved is None:
             faults.take_apart()
             self.disagreed = True
         else:
-            follows = (
-                interval.follows
-                and interval.longest_step < LATE_S
-                and self._taken.get(interval.lidar) == interval.since
-            )
+            follows = interval.follows and interval.longest_step < LATE_S and lidar.taken == interval.since
             self.disagreed = not faults.take(
                 interval.moved,
                 interval.spread,
@@ -227,19 +230,23 @@ class Agreement:
                 trail,
                 follows,
             )
-            self._taken[interval.lidar] = interval.stamp
+            lidar.taken = interval.stamp
             if not interval.repeats and faults.agrees > 0.5:
                 self._lateness.take(interval.since, interval.stamp, interval.moved, trail)
                 trail.delay(self._lateness.delay)
 
-    def _of(self, lidar: str) -> Faults:
-        if lidar not in self._faults:
-            self._faults[lidar] = Faults()
-        return self._faults[lidar]
-
     def change(self) -> float:
         """How much scans change as odometry predicts, 0..1."""
-        return min((each.changes for each in self._faults.values()), default=1.0)
+        return min((each.changes for each in self._faults()), default=1.0)
+
+    def _faults(self) -> Iterator[Faults]:
+        """Those of each lidar that still sends scans."""
+        return (lidar.faults for _, lidar in self._lidars.present())
+
+
+def _note(lidar: _Lidar, interval: ScanInterval, *, agrees: bool) -> None:
+    if interval.watched:
+        lidar.differed = lidar.differed or 0 if agrees and interval.follows else interval.stamp
 
 
 def _widened(interval: ScanInterval, leeways: Iterable[tuple[float, float]]) -> ScanInterval:

@@ -91,8 +91,9 @@ class TrackerCore:
     inputs: tuple[Channel, ...] = (HYPOTHESES, ODOMETRY, HEADING, SCAN_MOTION, RELOCATION, MODEL_SET)
     outputs: tuple[Channel, ...] = (POSE, TRACKS, TRANSFORM, SEARCH)
 
-    def __init__(self, settings: TrackerSettings) -> None:
-        self._settings = settings
+    def __init__(self, settings: TrackerSettings, *, believes_stamps: bool = False) -> None:
+        """`believes_stamps`: all come from one program; else one far ahead has to be confirmed."""
+        self._settings, self._believes_stamps = settings, believes_stamps
         self._counts: Counter[str] = Counter()
         self._robots: RecentlyUsed[tuple[str, str], _Tracked] = RecentlyUsed()
         self._buildings: dict[str, Building] = {}
@@ -159,7 +160,7 @@ class TrackerCore:
         robot = self._robots.use(
             (address["site"], address["robot"]),
             lambda: _Tracked(
-                RobotTracker(self._settings, self._counts),
+                RobotTracker(self._settings, self._counts, believes_stamps=self._believes_stamps),
                 _Pace(self._settings.transform_hz),
                 _Pace(self._settings.tracks_hz),
             ),

@@ -21,6 +21,8 @@ KEPT_NS = 60_000_000_000
 """Odometry older than this is forgotten. A projector's first answer may come many seconds late."""
 KEPT_AT_LEAST, KEPT_AT_MOST = 2, 20_000
 """Samples, whatever their age."""
+ASKED_AT_MOST = 256
+"""Poses that are looked up between two messages of odometry, and kept until the next one."""
 FARTHEST = 1e7
 """m from the odom frame's origin: beyond it a number is an overflow, not a place."""
 LONGEST_NS = 100_000_000
@@ -190,6 +192,8 @@ class OdometryTrail:
             return None
         known = self._asked.get(stamp)
         if known is None:
+            if len(self._asked) == ASKED_AT_MOST:  # scans come, odometry has ended
+                self._asked.clear()
             known = self._asked[stamp] = self._found(stamp)
         return known
 

@@ -11,6 +11,7 @@ from math import exp, isfinite, log
 from typing import NamedTuple
 
 from eigenscan.schemas.hypotheses_pb2 import RangeCheck
+from eigenscan.tracker.lidars import Lidars
 
 FOR, AGAINST = 6.0, 2.0
 """Nats of one scan at most: neighbouring scans err alike, and of some the list lacks the pose."""
@@ -108,27 +109,33 @@ class RangeErrors:
     """How probable it is that ranges or angles of a robot's lidars are wrong."""
 
     def __init__(self) -> None:
-        self._lidars: dict[str, _Lidar] = {}
+        self._lidars = Lidars(_Lidar)
 
     def move(self, new: float) -> None:
         """The robot has come on: by 1, a scan is new evidence."""
-        for lidar in self._lidars.values():
+        for lidar in self._lidars.all():
             lidar.come += new
+
+    def see(self, lidar: str, stamp: int) -> None:
+        """A scan of this stamp, ns, came from a lidar."""
+        self._lidars.now = stamp
+        self._lidars.see(lidar, stamp)
 
     def take(self, lidar: str, found: Mapping[RangeError, float]) -> None:
         """Takes by how many nats a lidar's scan is likelier with each error; none: it fits as it is."""
-        self._lidars.setdefault(lidar, _Lidar()).take(found)
+        self._lidars.of(lidar).take(found)
 
     @property
     def trust(self) -> float:
         """Probability that the ranges and angles of each lidar are right."""
-        return min((each.trust for each in self._lidars.values()), default=1.0)
+        return min((each.trust for _, each in self._lidars.present()), default=1.0)
 
     @property
     def fault(self) -> str:
         """What is rather wrong, in words; empty: nothing that shows."""
-        for name, lidar in self._lidars.items():
+        present = list(self._lidars.present())
+        for name, lidar in present:
             if lidar.trust < 0.5:
                 error = max(lidar.odds, key=lidar.odds.__getitem__)
-                return str(error) if len(self._lidars) == 1 else f"{name}: {error}"
+                return str(error) if len(present) == 1 else f"{name}: {error}"
         return ""

@@ -122,8 +122,10 @@ MOST_NAMES = 256
 class RobotTracker:
     """Tracks one robot. Needs no clock: all time is in the stamps."""
 
-    def __init__(self, settings: TrackerSettings, counts: Counter[str]) -> None:
-        self._settings = settings
+    def __init__(
+        self, settings: TrackerSettings, counts: Counter[str], *, believes_stamps: bool = False
+    ) -> None:
+        self._settings, self._believes_stamps = settings, believes_stamps
         self._counts = counts
         self.building = Building()
         """Of the site's models; the core keeps it current."""
@@ -142,7 +144,12 @@ class RobotTracker:
 
     def _begin(self) -> None:
         """Knows no source of hypotheses."""
-        self._timeline = Timeline(self._settings.patience, self._settings.late, self._counts)
+        self._timeline = Timeline(
+            self._settings.patience,
+            self._settings.late,
+            self._counts,
+            believes_stamps=self._believes_stamps,
+        )
         self._silence, self._ranges = Silence(self._timeline), RangeErrors()
         self._names: set[tuple[str, str]] = set()
         self._reset()
@@ -291,6 +298,8 @@ class RobotTracker:
             self._ranges.move(self._changed(moved))
             self._correct(seen.stamp)
         belief.stamp = seen.stamp
+        self._agreement.see(seen.lidar, seen.stamp)
+        self._ranges.see(seen.lidar, seen.stamp)
         belief.forget_innovations()
         repeated = self._agreement.is_repeated(seen.lidar, seen.stamp)
         if repeated:

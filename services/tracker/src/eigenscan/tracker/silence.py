@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
 
+from eigenscan.tracker.lidars import GONE_NS
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.timeline import Outcome, Timeline
 
@@ -14,8 +15,6 @@ SILENT_NS = 2_000_000_000
 without odometry."""
 SILENT_LISTS = 20
 """The same where stamps do not go on: 2 s of a lidar of 10 Hz."""
-GONE_NS = 10_000_000_000
-"""A source without a list for so long sends none any more: the time after which health misses an input."""
 NO_PLACE, NO_PLACE_NS = 0.9, 10_000_000_000
 """Probability of no place of the map, from which on for so long it is a fault: a robot that was switched on
 finds its place within seconds.

@@ -34,7 +34,10 @@ class Outcome(Enum):
 class Timeline:
     """Observations of one robot that wait for odometry of their time, or for their patience to end."""
 
-    def __init__(self, patience: float, late: float, counts: Counter[str]) -> None:
+    def __init__(
+        self, patience: float, late: float, counts: Counter[str], *, believes_stamps: bool = False
+    ) -> None:
+        self._believes_stamps = believes_stamps
         self._patience, self._late = int(patience * 1e9), int(late * 1e9)
         self._counts = counts
         self._order = 0
@@ -101,7 +104,9 @@ class Timeline:
         return (self._waiting[0][1], self._waiting[0][0]) if self._waiting else None
 
     def _is_doubtful(self, seen: Observation) -> bool:
-        if self._received is None or seen.stamp <= max(self._received, self._odometry or 0) + FUTURE_NS:
+        if self._received is None or self._believes_stamps:
+            return False
+        if seen.stamp <= max(self._received, self._odometry or 0) + FUTURE_NS:
             self._doubted.pop(seen.source, None)
             return False
         before = self._doubted.get(seen.source)

@@ -58,7 +58,7 @@ class Cast:
 
 
 def shifted(envelope: Envelope, by: int) -> Envelope:
-    """The envelope with its stamp `by` ns later; unchanged without a stamp, and for maps and models."""
+    """The envelope with all its stamps `by` ns later; unchanged without one, and for maps and models."""
     fields = envelope.message.DESCRIPTOR.fields_by_name
     if (
         envelope.channel.qos.latched
@@ -68,6 +68,17 @@ def shifted(envelope: Envelope, by: int) -> Envelope:
         return envelope
     message: Message = type(envelope.message)()
     message.CopyFrom(envelope.message)
-    own: Timestamp = message.timestamp  # type: ignore[attr-defined]
-    own.CopyFrom(stamp(max(nanoseconds(own) + by, 0)))
+    _shift(message, by)
     return Envelope(envelope.channel, envelope.address, message)
+
+
+def _shift(message: Message, by: int) -> None:
+    """A motion since another scan, or a scan's own motion, keeps its duration."""
+    if isinstance(message, Timestamp):
+        message.CopyFrom(stamp(max(nanoseconds(message) + by, 0)))
+        return
+    for field, value in message.ListFields():
+        if field.message_type is None or field.message_type.GetOptions().map_entry:
+            continue
+        for each in [value] if isinstance(value, Message) else value:
+            _shift(each, by)
