@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from eigenscan.eigenspace.panorama import Sensor, resample, windows
-from eigenscan.geometry import raycast
+from eigenscan.eigenspace.panorama import Sensor, resample
 from eigenscan.geometry.circle import difference
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+from eigenscan.geometry.raycast import RayCaster
 
 
 def room() -> GridMap:
@@ -23,30 +23,20 @@ def room() -> GridMap:
 )
 def test_a_window_is_what_the_sensor_sees_at_its_heading(sensor: Sensor) -> None:
     grid, point, turn = room(), np.array([0.7, 4.1]), sensor.turn
-    panorama = raycast.panoramas(grid, point[None], turn, 50.0)
+    panorama = RayCaster.of(grid).panoramas(point[None], turn, 50.0)
     for k in (0, 1, turn // 3, turn - 1):
         heading = sensor.headings(turn)[k]
         bearings = sensor.angle_min + np.arange(sensor.beams) * sensor.angle_increment
-        scan = raycast.cast(grid, [[*point, heading]], bearings, 50.0)
-        window = windows(panorama, [k], sensor.beams)
+        scan = RayCaster.of(grid).cast([[*point, heading]], bearings, 50.0)
+        window = np.roll(panorama, -k, axis=1)[:, : sensor.beams]
         assert (np.abs(window - scan) < 1e-3).mean() > 0.99
-        assert sensor.window_of(heading, turn) == pytest.approx(k, abs=1e-6) or k == 0
 
 
-def test_headings_and_windows_are_each_others_inverse() -> None:
+def test_headings_go_once_round() -> None:
     sensor = Sensor(-1.234, np.deg2rad(0.5), 400)
     headings = sensor.headings(720)
-    back = sensor.window_of(headings, 720)
-    assert np.abs((back - np.arange(720) + 360) % 720 - 360).max() < 1e-6
     assert ((headings >= -np.pi) & (headings < np.pi)).all()
     assert np.abs(difference(headings[1:], headings[:-1]) - np.deg2rad(0.5)).max() < 1e-9
-
-
-def test_windows_are_the_rolled_panorama() -> None:
-    panorama = np.arange(24.0, dtype=np.float32).reshape(2, 12)
-    for k in range(12):
-        expected = np.roll(panorama, -k, axis=1)[:, :5]
-        np.testing.assert_array_equal(windows(panorama, [k, k], 5), expected)
 
 
 def test_a_sensor_that_does_not_see_all_round_has_a_beam_at_either_end() -> None:
@@ -58,8 +48,8 @@ def test_a_sensor_that_does_not_see_all_round_has_a_beam_at_either_end() -> None
 @pytest.mark.parametrize("turn", [360, 1000, 1024, 1440, 719])
 def test_resampling_is_nearly_casting_at_the_other_step(turn: int) -> None:
     grid, points = room(), np.array([[0.7, 4.1], [3.0, 4.6]])
-    fine = resample(raycast.panoramas(grid, points, 720, 50.0), turn)
-    cast = raycast.panoramas(grid, points, turn, 50.0)
+    fine = resample(RayCaster.of(grid).panoramas(points, 720, 50.0), turn)
+    cast = RayCaster.of(grid).panoramas(points, turn, 50.0)
     # but beside the corners of the pillar, where the nearer of two walls in angle counts
     assert (np.abs(fine - cast) < 0.06).mean() > 0.98
 

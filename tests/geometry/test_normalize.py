@@ -2,8 +2,8 @@ import math
 
 import numpy as np
 import pytest
+from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.normalize import (
-    TURN,
     ScanError,
     Sweep,
     limit,

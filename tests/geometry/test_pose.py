@@ -56,12 +56,6 @@ def test_differences_are_the_shortest_turn(a: float, turn: float) -> None:
     assert float(circle.difference(a + turn, a)) == pytest.approx(turn, abs=1e-9)
 
 
-def test_means_on_the_circle() -> None:
-    assert abs(circle.mean([3.13, -3.13])) == pytest.approx(math.pi)
-    assert circle.mean([0.0, 1.0], [1.0, 0.0]) == 0.0
-    assert circle.mean([0.1, 0.3]) == pytest.approx(0.2)
-
-
 @given(a=poses)
 def test_poses_come_back_from_messages(a: np.ndarray) -> None:
     np.testing.assert_array_equal(pose.from_message(pose.to_message(a)), a)

@@ -102,7 +102,7 @@ def test_a_cast_is_exact_grid_traversal(seed: int, yaw: float, range_max: float)
     poses = free_poses(grid, 8, seed)
     bearings = np.linspace(-np.pi, np.pi, 40) + 0.0123
     expected = reference(grid, dark_cells(grid.cells), poses, bearings, range_max)
-    ranges = raycast.cast(grid, poses, bearings, range_max)
+    ranges = RayCaster.of(grid).cast(poses, bearings, range_max)
     # a ray that grazes a corner to 1e-6 cells may fall on either side
     assert close(ranges, expected, 1e-4).mean() > 0.995
 
@@ -114,7 +114,7 @@ def test_a_panorama_is_exact_grid_traversal(seed: int, yaw: float, range_max: fl
     poses = free_poses(grid, 30, seed) * [1.0, 1.0, 0.0]
     directions = np.arange(72) * (2 * np.pi / 72)
     expected = reference(grid, dark_cells(grid.cells), poses, directions, range_max)
-    ranges = raycast.panoramas(grid, poses[:, :2], 72, range_max)
+    ranges = RayCaster.of(grid).panoramas(poses[:, :2], 72, range_max)
     assert close(ranges, expected, 1e-4).mean() > 0.995
 
 
@@ -149,9 +149,9 @@ def room(
 def test_a_rectangle_from_its_middle() -> None:
     grid = room()
     pose = np.array([[1.5, 1.0, 0.0]])
-    ranges = raycast.cast(grid, pose, [0.0, np.pi / 2, np.pi, -np.pi / 2], 10.0)
+    ranges = RayCaster.of(grid).cast(pose, [0.0, np.pi / 2, np.pi, -np.pi / 2], 10.0)
     np.testing.assert_allclose(ranges, [[1.45, 0.95, 1.45, 0.95]], atol=1e-5)
-    np.testing.assert_allclose(raycast.panoramas(grid, pose[:, :2], 4, 10.0), ranges, atol=1e-5)
+    np.testing.assert_allclose(RayCaster.of(grid).panoramas(pose[:, :2], 4, 10.0), ranges, atol=1e-5)
 
 
 @pytest.mark.parametrize("angle", np.linspace(0, 2 * np.pi, 37))
@@ -165,8 +165,8 @@ def test_a_diagonal_wall_of_one_pixel_does_not_leak(angle: float) -> None:
     grid = GridMap(cells, 0.1, np.zeros(3))
     pose = np.array([[3.0321, 3.0517, angle]])
     bearings = np.linspace(0, 0.2, 200)
-    assert (raycast.cast(grid, pose, bearings, 50.0) < 2.2).all()
-    assert (raycast.panoramas(grid, pose[:, :2], 720, 50.0) < 2.2).all()
+    assert (RayCaster.of(grid).cast(pose, bearings, 50.0) < 2.2).all()
+    assert (RayCaster.of(grid).panoramas(pose[:, :2], 720, 50.0) < 2.2).all()
 
 
 def test_unknown_is_looked_through_where_it_is_thin_and_ends_a_ray_where_it_is_deep() -> None:
@@ -178,10 +178,10 @@ def test_unknown_is_looked_through_where_it_is_thin_and_ends_a_ray_where_it_is_d
     cells[:, 40:47] = UNKNOWN
     deep = GridMap(cells, 0.1, np.zeros(3))
     pose = np.array([[1.0, 1.05, 0.0]])
-    assert raycast.cast(thin, pose, [0.0], 50.0)[0, 0] == pytest.approx(8.0, abs=1e-4)
-    assert raycast.cast(deep, pose, [0.0], 50.0)[0, 0] == np.inf
-    assert raycast.panoramas(thin, pose[:, :2], 4, 50.0)[0, 0] == pytest.approx(8.0, abs=1e-4)
-    assert raycast.panoramas(deep, pose[:, :2], 4, 50.0)[0, 0] == np.inf
+    assert RayCaster.of(thin).cast(pose, [0.0], 50.0)[0, 0] == pytest.approx(8.0, abs=1e-4)
+    assert RayCaster.of(deep).cast(pose, [0.0], 50.0)[0, 0] == np.inf
+    assert RayCaster.of(thin).panoramas(pose[:, :2], 4, 50.0)[0, 0] == pytest.approx(8.0, abs=1e-4)
+    assert RayCaster.of(deep).panoramas(pose[:, :2], 4, 50.0)[0, 0] == np.inf
 
 
 def test_no_wall_beyond_range_max_or_the_edge() -> None:
@@ -192,9 +192,11 @@ def test_no_wall_beyond_range_max_or_the_edge() -> None:
     )
     pose = np.array([[0.55, 0.55, 0.0]])
     for range_max, expected in ((1.44, np.inf), (1.46, 1.45)):
-        assert raycast.cast(grid, pose, [0.0], range_max)[0, 0] == pytest.approx(expected, abs=1e-4)
-        assert raycast.panoramas(grid, pose[:, :2], 8, range_max)[0, 0] == pytest.approx(expected, abs=1e-4)
-    assert np.isinf(raycast.cast(grid, pose, [2.0, 3.0, 4.5], 50.0)).all()
+        assert RayCaster.of(grid).cast(pose, [0.0], range_max)[0, 0] == pytest.approx(expected, abs=1e-4)
+        assert RayCaster.of(grid).panoramas(pose[:, :2], 8, range_max)[0, 0] == pytest.approx(
+            expected, abs=1e-4
+        )
+    assert np.isinf(RayCaster.of(grid).cast(pose, [2.0, 3.0, 4.5], 50.0)).all()
 
 
 def test_starts_in_a_wall_outside_and_nowhere() -> None:
@@ -202,33 +204,33 @@ def test_starts_in_a_wall_outside_and_nowhere() -> None:
     poses = np.array(
         [[0.01, 1.0, 0.0], [-5.0, 1.0, 0.0], [500.0, 1.0, 0.0], [np.nan, 1.0, 0.0], [1.0, 1.0, np.inf]]
     )
-    ranges = raycast.cast(grid, poses, [0.0, 1.0], 10.0)
+    ranges = RayCaster.of(grid).cast(poses, [0.0, 1.0], 10.0)
     assert (ranges[0] == 0).all()
     assert np.isinf(ranges[1:3]).all()
     assert np.isnan(ranges[3:]).all()
-    swept = raycast.panoramas(grid, poses[:3, :2], 8, 10.0)
+    swept = RayCaster.of(grid).panoramas(poses[:3, :2], 8, 10.0)
     assert (swept[0] == 0).all()
     assert np.isinf(swept[1:]).all()
     with pytest.raises(ValueError, match="not finite"):
-        raycast.panoramas(grid, poses[:, :2], 8, 10.0)
+        RayCaster.of(grid).panoramas(poses[:, :2], 8, 10.0)
     with pytest.raises(ValueError, match="0 beams"):
-        raycast.panoramas(grid, poses[:1, :2], 0, 10.0)
-    assert raycast.panoramas(grid, np.empty((0, 2)), 8, 10.0).shape == (0, 8)
+        RayCaster.of(grid).panoramas(poses[:1, :2], 0, 10.0)
+    assert RayCaster.of(grid).panoramas(np.empty((0, 2)), 8, 10.0).shape == (0, 8)
 
 
 @pytest.mark.parametrize("value", [FREE, UNKNOWN, OCCUPIED])
 def test_maps_of_one_kind_of_cell(value: int) -> None:
     grid = GridMap(np.full((10, 12), value, dtype=np.uint8), 0.1, np.zeros(3))
     expected = 0.0 if value == OCCUPIED else np.inf
-    assert (raycast.cast(grid, [[0.55, 0.55, 0.3]], [0.0, 1.0], 10.0) == expected).all()
-    assert (raycast.panoramas(grid, [[0.55, 0.55]], 8, 10.0) == expected).all()
+    assert (RayCaster.of(grid).cast([[0.55, 0.55, 0.3]], [0.0, 1.0], 10.0) == expected).all()
+    assert (RayCaster.of(grid).panoramas([[0.55, 0.55]], 8, 10.0) == expected).all()
 
 
 def test_threads_do_not_change_panoramas() -> None:
     grid = random_map(3)
     points = free_poses(grid, 200, 1)[:, :2]
-    one = raycast.panoramas(grid, points, 90, 5.0)
-    np.testing.assert_array_equal(raycast.panoramas(grid, points, 90, 5.0, threads=3), one)
+    one = RayCaster.of(grid).panoramas(points, 90, 5.0)
+    np.testing.assert_array_equal(RayCaster.of(grid).panoramas(points, 90, 5.0, threads=3), one)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3])
@@ -237,8 +239,8 @@ def test_a_position_sees_the_same_alone_as_among_others(yaw: float) -> None:
     # on the corners of cells, where a ray along the axes runs between two rows
     inside = np.argwhere(grid.cells[2:-2:5, 2:-2:5] == FREE)[:, ::-1] * 5 + 2
     points = grid.to_map(inside)
-    together = raycast.panoramas(grid, points, 90, 1.0)
-    alone = np.vstack([raycast.panoramas(grid, point[None], 90, 1.0) for point in points])
+    together = RayCaster.of(grid).panoramas(points, 90, 1.0)
+    alone = np.vstack([RayCaster.of(grid).panoramas(point[None], 90, 1.0) for point in points])
     np.testing.assert_allclose(together, alone, atol=1e-6)
 
 
@@ -247,9 +249,9 @@ def test_a_ray_goes_on_beyond_what_is_swept(seed: int, monkeypatch: pytest.Monke
     grid = random_map(seed, (1.0, 2.0, 0.3))
     points = free_poses(grid, 6, seed)[:, :2]
     points = points[np.linalg.norm(points - points[0], axis=1) < 1.5]
-    whole = raycast.panoramas(grid, points, 180, 6.0)
+    whole = RayCaster.of(grid).panoramas(points, 180, 6.0)
     monkeypatch.setattr(raycast, "SWEPT", 0.4)
-    part = raycast.panoramas(grid, points, 180, 6.0)
+    part = RayCaster.of(grid).panoramas(points, 180, 6.0)
     assert close(part, whole, 1e-5).mean() > 0.999
     assert np.isfinite(part[part > 2.0]).any()
 
@@ -262,8 +264,8 @@ def test_what_is_seen_does_not_depend_on_how_the_positions_are_shared_out(
     monkeypatch.setattr(raycast, "SWEPT", swept)
     grid = random_map(11, (1.0, 2.0, yaw))
     points = free_poses(grid, 300, 11)[:, :2]
-    together = raycast.panoramas(grid, points, 180, 6.0)
-    parts = [raycast.panoramas(grid, part, 180, 6.0) for part in np.array_split(points, 9)]
+    together = RayCaster.of(grid).panoramas(points, 180, 6.0)
+    parts = [RayCaster.of(grid).panoramas(part, 180, 6.0) for part in np.array_split(points, 9)]
     np.testing.assert_array_equal(np.vstack(parts), together)
 
 
@@ -271,7 +273,10 @@ def test_each_ray_may_end_at_its_own_range() -> None:
     grid = random_map(4, (3.0, -7.5, 0.4))
     poses, bearings = free_poses(grid, 20, 4), np.linspace(-np.pi, np.pi, 40)
     limits = np.random.default_rng(4).uniform(0.2, 5.0, 40)
-    far, near = raycast.cast(grid, poses, bearings, 50.0), raycast.cast(grid, poses, bearings, limits)
+    far, near = (
+        RayCaster.of(grid).cast(poses, bearings, 50.0),
+        RayCaster.of(grid).cast(poses, bearings, limits),
+    )
     assert np.array_equal(near, np.where(far <= limits.astype(np.float32), far, np.float32(np.inf)))
 
 

@@ -7,7 +7,7 @@ import pytest
 from eigenscan.geometry.circle import difference
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.pose import between, compose, transform
-from eigenscan.geometry.raycast import cast
+from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.mapping.chain import Sweep
 from eigenscan.mapbuilder.mapping.cloud import Outline
 from eigenscan.mapbuilder.mapping.composite import composite
@@ -36,7 +36,7 @@ def furnished() -> GridMap:
 def scan(
     grid: GridMap, pose: np.ndarray, seed: int, bearings: np.ndarray = BEARINGS, noise: float = 0.02
 ) -> Outline:
-    ranges = cast(grid, pose[None], bearings, 30.0)[0].astype(float)
+    ranges = RayCaster.of(grid).cast(pose[None], bearings, 30.0)[0].astype(float)
     return Outline.of(ranges + np.random.default_rng(seed).normal(0, noise, len(ranges)), bearings)
 
 
@@ -131,7 +131,7 @@ def test_models_from_four_scans_alone_show_the_room(furnished: GridMap) -> None:
         there = np.column_stack(
             [transform(poses[0], model.positions), np.full(len(model.positions), poses[0, 2])]
         )
-        expected = cast(furnished, there, np.arange(180) * np.deg2rad(2.0), 30.0)
+        expected = RayCaster.of(furnished).cast(there, np.arange(180) * np.deg2rad(2.0), 30.0)
         assert np.median(np.abs(model.panoramas - expected)) < 0.06
         assert (np.abs(model.panoramas - expected) < 0.15).mean() > 0.85
 

@@ -5,10 +5,10 @@ from typing import cast
 
 import pytest
 from eigenscan.eigenspace.folder import SiteModel
-from eigenscan.eigenspace.model import RegionModel, set_version
+from eigenscan.eigenspace.model import ModelError, RegionModel, set_version
 from eigenscan.eigenspace.space_message import space_from_message, space_to_message
 from eigenscan.projector import model_set_assembler, set_aside
-from eigenscan.projector.model_set_assembler import ModelError, ModelSetAssembler, WholeSet
+from eigenscan.projector.model_set_assembler import ModelSetAssembler, WholeSet
 from eigenscan.schemas import model_pb2
 from eigenscan.schemas.channels import MODEL, MODEL_SET, SPACE
 from eigenscan.schemas.envelope import Envelope

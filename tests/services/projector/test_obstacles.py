@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from eigenscan.geometry.pose import transform
+from eigenscan.geometry.pose import compose, transform
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.obstacles import find_obstacles
@@ -13,7 +13,8 @@ from eigenscan.projector.wall_field import WallField
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
-from eigenscan.workbench.simulation.lidar import Lidar, unexpected
+from eigenscan.workbench.simulation.lidar import Lidar, to_discs
+from eigenscan.workbench.simulation.people import RADIUS
 from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.world import office as furnished
 
@@ -23,6 +24,24 @@ from tests.services.projector.office import is_right, poses_of, ready, receive
 REACH = 1.0
 
 NEAR = 8.0
+
+SAME_WALL = 0.05
+"""m: two maps that differ by no more along a beam show it the same wall."""
+
+
+def unexpected(
+    lidar: Lidar, world: RayCaster, known: RayCaster, base: np.ndarray, people: np.ndarray
+) -> np.ndarray:
+    """Which beams (B,) from the base pose (3,) end on parts of the `world` that the map `known` lacks.
+
+    Those are people (n, 2), m, and furniture.
+    """
+    sensor = compose(base, lidar.mount)
+    wall = world.cast(sensor, lidar.bearings, lidar.range_max)[0].astype(np.float64)
+    shown = known.cast(sensor, lidar.bearings, lidar.range_max)[0].astype(np.float64)
+    body = to_discs(sensor, lidar.bearings, people, RADIUS)
+    on_it: np.ndarray = (body < wall) | (np.isfinite(wall) & (shown > wall + SAME_WALL))
+    return on_it
 
 
 def _canonical(raw: RawScan) -> Scan:

@@ -60,7 +60,6 @@ def candidates(poses: list[tuple[float, float, float]], nats: list[float]) -> Ca
     return Candidates(
         np.array(poses, dtype=np.float64).reshape(-1, 3),
         np.zeros((len(poses), 3, 3)),
-        np.zeros(len(poses)),
         np.array(nats),
         np.ones(len(poses)),
         np.zeros(len(poses), dtype=np.int64),

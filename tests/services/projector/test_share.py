@@ -90,7 +90,7 @@ def test_a_message_does_not_grow_with_the_site() -> None:
     )
     none = np.empty(30)
     reported = reported_regions(
-        Candidates(np.empty((30, 3)), np.empty((30, 3, 3)), none, none, none, region, projected, 0.0, 0.0)
+        Candidates(np.empty((30, 3)), np.empty((30, 3, 3)), none, none, region, projected, 0.0, 0.0)
     )
     assert len(reported) <= REPORTED
     assert np.isin(region, reported).all()

@@ -11,12 +11,10 @@ from eigenscan.tracker.association import Pairs, within_gate
 from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, Belief, Elsewhere, emerges, missed
 from eigenscan.tracker.covariance import (
     determinant,
-    fuse,
     is_covariance,
     log_density,
     log_volume,
     mahalanobis_squared,
-    moments,
     residual,
 )
 from eigenscan.tracker.evidence import (
@@ -51,6 +49,7 @@ from eigenscan.tracker.prediction import motion_noise
 from eigenscan.tracker.reckoning import Leg, Motions
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
+from eigenscan.tracker.symmetric import fuse_each, moments_of
 from eigenscan.tracker.tracks import Tracks, begin, join, replace
 from eigenscan.tracker.unification import SAME_DISTANCE2
 from numpy.typing import NDArray
@@ -190,8 +189,8 @@ def merged(group: Tracks) -> Tracks:
         return group
     weight = np.exp(group.log_weight - group.log_weight[0])
     shown = weight[:, None] * (1.0 - group.hidden)
-    x, C = moments(group.x, group.C, weight)
-    fixed_x, fixed_covariance = moments(*where_fixed(group), weight)
+    x, C = moments_of(group.x, group.C, weight)
+    fixed_x, fixed_covariance = moments_of(*where_fixed(group), weight)
     known = shown.sum(axis=0)
     mean = (shown * group.evidence).sum(axis=0) / np.where(known > 0.0, known, 1.0)
     evidence = np.where(known > 0.0, mean, group.evidence[0])
@@ -451,7 +450,7 @@ def fused(
     off = residual(seen.poses[pairs.hypothesis], x[joined])
     R /= independent_share(C[joined], R, precision)[:, None, None]
     C[joined] *= surprise(mahalanobis_squared(off, C[joined] + R))[:, None, None]
-    x[joined], C[joined] = fuse(x[joined], C[joined], seen.poses[pairs.hypothesis], R)
+    x[joined], C[joined] = fuse_each(x[joined], C[joined], seen.poses[pairs.hypothesis], R)
     unchecked, observations = branches.unchecked.copy(), branches.observations.copy()
     unchecked[joined], nis[joined] = 0.0, pairs.distance2
     observations[joined] += 1

@@ -16,16 +16,17 @@ from numba import njit
 for _ in range({before}):  # numba numbers functions as they come: so two programs differ
     njit(lambda x: x)(1.0)
 from eigenscan.geometry.symmetric import inverse_each
-from eigenscan.tracker.covariance import determinant, fuse, mahalanobis_squared, residual
+from eigenscan.tracker.covariance import determinant, mahalanobis_squared, residual
 from eigenscan.tracker.association import within_gate
 from eigenscan.tracker.continuity import going_on
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.symmetric import fuse_each
 x, C = np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
 assert np.allclose(determinant(2 * C), 8) and np.allclose(inverse_each(2 * C), C / 2)
 assert np.allclose(mahalanobis_squared(x + 1, C), 3) and np.allclose(residual(x + 1, x), 1)
-assert np.allclose(fuse(x, C, x, C)[1], C / 2)
+assert np.allclose(fuse_each(x, C, x, C)[1], C / 2)
 assert len(within_gate(x, C, x, C, 9.0)[0]) == 4 and going_on(x, x, 0.1, 0.1) == 2
 moved = Motion((1.0, 0.0, 0.0), way=1.0, turn=0.0, slip=0.0, unknown=0.0, breaks=0.0, seconds=1.0)
 assert np.allclose(predict(x, C, moved, TrackerSettings())[0], [1, 0, 0])

@@ -4,8 +4,9 @@ import filterpy.stats
 import numpy as np
 import pytest
 from eigenscan.geometry.symmetric import inverse_each
-from eigenscan.tracker.association import crowding
-from eigenscan.tracker.covariance import fuse, is_covariance, mahalanobis_squared, moments
+from eigenscan.tracker.association import crowding_each
+from eigenscan.tracker.covariance import is_covariance, mahalanobis_squared
+from eigenscan.tracker.symmetric import fuse_each, moments_of
 from filterpy.kalman import KalmanFilter
 from hypothesis import given
 from hypothesis import strategies as st
@@ -26,7 +27,7 @@ def test_batched_fusion_is_filterpys_update(seed: int) -> None:
     C, R = covariances(seed, 7), covariances(seed + 1, 7)
     x = rng.uniform(-2.0, 2.0, (7, 3))
     y = x + rng.normal(size=(7, 3)) * 0.2
-    fused_x, fused_C = fuse(x, C, y, R)
+    fused_x, fused_C = fuse_each(x, C, y, R)
     for row in range(7):
         oracle = KalmanFilter(dim_x=3, dim_z=3)
         oracle.x, oracle.P, oracle.H = x[row].copy(), C[row].copy(), np.eye(3)
@@ -49,13 +50,13 @@ def test_distance_is_filterpys_mahalanobis(seed: int) -> None:
 
 def test_fusion_across_the_turn_takes_the_short_way() -> None:
     C = np.eye(3)[None] * 0.01
-    x, _ = fuse(np.array([[0.0, 0.0, np.pi - 0.02]]), C, np.array([[0.0, 0.0, -np.pi + 0.04]]), C)
+    x, _ = fuse_each(np.array([[0.0, 0.0, np.pi - 0.02]]), C, np.array([[0.0, 0.0, -np.pi + 0.04]]), C)
     assert x[0, 2] == pytest.approx(-np.pi + 0.01, abs=1e-12)
 
 
 def test_moments_across_the_turn() -> None:
     C = np.tile(np.eye(3) * 1e-4, (2, 1, 1))
-    mean, covariance = moments(np.array([[1.0, 0.0, 3.1], [1.0, 0.2, -3.1]]), C, np.array([1.0, 1.0]))
+    mean, covariance = moments_of(np.array([[1.0, 0.0, 3.1], [1.0, 0.2, -3.1]]), C, np.array([1.0, 1.0]))
     half = np.pi - 3.1
     assert mean == pytest.approx([1.0, 0.1, -np.pi], abs=1e-12)
     assert covariance[2, 2] == pytest.approx(1e-4 + half**2)
@@ -113,4 +114,4 @@ def test_overlap_is_the_expected_bump_under_the_track() -> None:
 def test_one_peak_listed_twice_counts_once() -> None:
     R = np.tile(np.diag([0.05, 0.05, 0.02]) ** 2, (3, 1, 1))
     y = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
-    assert crowding(y, R) == pytest.approx([2.0, 2.0, 1.0])
+    assert crowding_each(y, R) == pytest.approx([2.0, 2.0, 1.0])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from eigenscan.tracker.belief import Belief
-from eigenscan.tracker.covariance import moments
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.reckoning import Leg, correct
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.tracker.symmetric import moments_of
 from eigenscan.tracker.tracks import Tracks, begin, join, replace
 from eigenscan.tracker.unification import settle
 
@@ -120,9 +120,9 @@ def test_the_compiled_form_is_the_readable_one(seed: int) -> None:
             "frame": tracks.frame[group[0]],
             "fixed_at": tracks.fixed_at[group[0]],
         }
-        expected["x"], expected["C"] = moments(tracks.x[group], tracks.C[group], weight)
+        expected["x"], expected["C"] = moments_of(tracks.x[group], tracks.C[group], weight)
         fixed = where_fixed(tracks.pick(group))
-        expected["fixed_x"], expected["fixed_covariance"] = moments(*fixed, weight)
+        expected["fixed_x"], expected["fixed_covariance"] = moments_of(*fixed, weight)
         if len(group) == 1:
             names = ("x", "C", "fixed_x", "fixed_covariance")
             expected |= {name: getattr(tracks, name)[group[0]] for name in names}

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.circle import TURN, wrap
-from numpy.typing import ArrayLike, NDArray
-
-Floats = NDArray[np.float32] | NDArray[np.float64]
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -43,19 +41,6 @@ class Sensor:
     def headings(self, turn: int) -> NDArray[np.float64]:
         """Heading (N,) of the sensor for each window of a panorama of N = `turn` beams, in [-pi, pi)."""
         return wrap(np.arange(turn) * (TURN / turn) - self.angle_min)
-
-    def window_of(self, headings: ArrayLike, turn: int) -> NDArray[np.float64]:
-        """Window index in [0, N), with fraction, of headings of any shape; inverse of `headings`."""
-        index = (np.asarray(headings, dtype=np.float64) + self.angle_min) * (turn / TURN)
-        return np.mod(index, turn)
-
-
-def windows(panoramas: NDArray[np.float32], index: ArrayLike, beams: int) -> NDArray[np.float32]:
-    """Scans (..., B) that are the windows `index` (...,) of panoramas (..., N), pairwise."""
-    turn = panoramas.shape[-1]
-    start = np.asarray(index, dtype=np.int64)[..., None]
-    taken: NDArray[np.float32] = np.take_along_axis(panoramas, (start + np.arange(beams)) % turn, axis=-1)
-    return taken
 
 
 def resample(panoramas: NDArray[np.float32], turn: int) -> NDArray[np.float32]:

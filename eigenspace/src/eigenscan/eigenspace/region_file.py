@@ -1,4 +1,4 @@
-"""A region's model as a file that numpy.load opens, and the finished ones of a build that is under way."""
+"""A region's model as a file that numpy.load opens."""
 
 from __future__ import annotations
 

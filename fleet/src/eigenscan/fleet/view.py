@@ -35,6 +35,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, PoseEstimate
 from eigenscan.schemas.wire import decode
+from eigenscan.schemas.words import UNKNOWN, status_word
 
 OPEN_S = 5.0
 """A client's configuration may wait for its router without end; a person does not."""
@@ -150,11 +151,7 @@ class Service:
     @property
     def status(self) -> str:
         """`ok`, `waiting`, `degraded`, or `unknown` before its first health."""
-        if self.health is None:
-            return "unknown"
-        if self.health.status not in Health.Status.values():
-            return "unknown"  # a status of a later version
-        return Health.Status.Name(self.health.status).removeprefix("STATUS_").lower()
+        return UNKNOWN if self.health is None else status_word(self.health.status)
 
     def counter(self, name: str) -> int:
         """Value of one of its counters; 0 if there is none."""

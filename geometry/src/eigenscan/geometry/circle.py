@@ -18,10 +18,3 @@ def wrap(angle: ArrayLike) -> NDArray[np.float64]:
 def difference(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """Shortest turns from `b` to `a`, in [-pi, pi)."""
     return wrap(np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64))
-
-
-def mean(angles: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Direction of the weighted sum of unit vectors at `angles` (n,); 0 if they cancel out."""
-    array = np.asarray(angles, dtype=np.float64)
-    weight = np.ones_like(array) if weights is None else np.asarray(weights, dtype=np.float64)
-    return float(np.arctan2(np.sum(weight * np.sin(array)), np.sum(weight * np.cos(array))))

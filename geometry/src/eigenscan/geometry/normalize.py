@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from eigenscan.geometry.circle import TURN
 from numpy.typing import NDArray
 
 Ranges = NDArray[np.float32]
-
-TURN = 2.0 * math.pi
 
 SMALLEST_STEP = 1e-6  # rad; no lidar comes near it
 

@@ -136,22 +136,6 @@ class RayCaster:
         return near == WALL, near == DARK, np.array([c0, r0])
 
 
-def cast(
-    grid: GridMap | RayCaster, poses: ArrayLike, bearings: ArrayLike, range_max: ArrayLike
-) -> NDArray[np.float32]:
-    """RayCaster.cast, also straight from a map."""
-    caster = grid if isinstance(grid, RayCaster) else RayCaster.of(grid)
-    return caster.cast(poses, bearings, range_max)
-
-
-def panoramas(
-    grid: GridMap | RayCaster, positions: ArrayLike, beams: int, range_max: float, threads: int = 1
-) -> NDArray[np.float32]:
-    """RayCaster.panoramas, also straight from a map."""
-    caster = grid if isinstance(grid, RayCaster) else RayCaster.of(grid)
-    return caster.panoramas(positions, beams, range_max, threads)
-
-
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def in_cells(
     map_in_grid: NDArray[np.float64], resolution: float, points: NDArray[np.float64]

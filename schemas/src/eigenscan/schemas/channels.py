@@ -386,10 +386,10 @@ LATCHED_TEMPLATE = "{site}/latched/{channel}/{session}"
 
 
 RECORDINGS_TEMPLATE = "{site}/recordings/{robot}/{what}"
-"""Key on which a robot's recorder answers queries for its files; `what` is one of RECORDINGS_ASKED."""
+"""Key on which a robot's recorder answers queries for its files.
 
-RECORDINGS_ASKED = ("parts", "bytes")
-"""`parts`: which files there are (RecordingParts); `bytes`: a piece of one of them (RecordingRequest)."""
+`what` is `parts`: which files there are (RecordingParts); or `bytes`: a piece of one (RecordingRequest).
+"""
 
 MOST_RECORDED_BYTES = 1_048_576
 """Largest answer: a longer one would delay the robot's other messages."""

@@ -1,7 +1,7 @@
 """Robots that come by a building: scans, and the poses that a tracker would claim, a little off."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from eigenscan.geometry.gridmap import GridMap
@@ -18,7 +18,8 @@ from eigenscan.workbench.simulation.world import CUPBOARD, office
 VISIT_S = 1800.0
 ERROR = np.array([0.02, 0.02, np.deg2rad(0.3)])
 KNOWN = office().render()
-MOVED = office().with_moved(CUPBOARD, 0.0, -1.9).render()
+_FURNITURE = tuple(piece.moved(0.0, -1.9) if piece == CUPBOARD else piece for piece in office().furniture)
+MOVED = replace(office(), furniture=_FURNITURE).render()
 TOUR = ((5.2, 6.5), (5.2, 8.2), (8.3, 10.4), (6.6, 10.2), (5.2, 8.2), (5.2, 6.5), (12.0, 6.5))
 """From the hallway once around the bureau, whose cupboard moves, and out again."""
 

@@ -14,7 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 import psutil
 import zenoh
 from eigenscan.cli.launch.network import open_hub
-from eigenscan.cli.launch.screen import StatusLine, error_text, state_name
+from eigenscan.cli.launch.screen import StatusLine, error_text
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
 from eigenscan.cli.launch.supervision import Supervisor
 from eigenscan.fleet.view import FleetView
@@ -28,6 +28,7 @@ from eigenscan.schemas.channels import IN_PLAY, TRACKS
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import decode
+from eigenscan.schemas.words import state_word
 from eigenscan.workbench.simulation.live import publish
 from eigenscan.workbench.simulation.recorded import Recorded
 from eigenscan.workbench.simulation.stage import Stage
@@ -193,7 +194,7 @@ class Demonstration:
                 f"{self._kidnap:5.1f} s  kidnapped: carried to another room, its wheels do not turn"
             )
         error = f"  error {error_text(seen.error_m, seen.error_rad)}" if seen.claimed else ""
-        text = f"{seen.time:5.1f} s  {state_name(state):<9}  confidence {seen.confidence:.2f}{error}"
+        text = f"{seen.time:5.1f} s  {state_word(state):<9}  confidence {seen.confidence:.2f}{error}"
         if state != self._shown:
             self._shown = state
             self._line.keep_own(text)

@@ -108,14 +108,14 @@ def _outcome(
     view: FleetView, robot: str, given: tuple[float, float, float] | None, since: float
 ) -> dict[str, Any]:
     """The robot's newest pose since it accepted the relocation."""
-    from eigenscan.cli.launch.screen import state_name
+    from eigenscan.schemas.words import state_word
 
     found: dict[str, Any] = {"robot": robot, "taken_up": True, "state": "unknown"}
     seen = view.robots.get(robot)
     if seen is None or seen.pose is None or seen.received_at <= since:
         return found
     pose = seen.pose
-    found |= {"state": state_name(pose.state), "confidence": round(pose.confidence, 3)}
+    found |= {"state": state_word(pose.state), "confidence": round(pose.confidence, 3)}
     if pose.state == STATE_LOCALIZED:
         found |= {"x": round(pose.pose.x, 3), "y": round(pose.pose.y, 3)}
         found["theta_deg"] = round(math.degrees(pose.pose.theta), 1)

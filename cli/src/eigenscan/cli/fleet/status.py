@@ -68,7 +68,7 @@ def rows(view: FleetView) -> list[dict[str, Any]]:
 
 
 def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
-    from eigenscan.cli.launch.screen import state_name
+    from eigenscan.schemas.words import state_word
 
     robot = view.robots.get(name)
     serving = [service for service in view.serving(name) if service.contracts]
@@ -92,7 +92,7 @@ def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
     if robot is not None and robot.pose is not None:
         pose = robot.pose
         row |= {
-            "state": state_name(pose.state),
+            "state": state_word(pose.state),
             "confidence": round(pose.confidence, 3),
             "x": round(pose.pose.x, 3),
             "y": round(pose.pose.y, 3),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import zenoh
 from eigenscan.cli.figures import Events
-from eigenscan.cli.launch.screen import StatusLine, state_name
+from eigenscan.cli.launch.screen import StatusLine
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
 from eigenscan.cli.launch.supervision import SERVICES, Supervisor
 from eigenscan.fleet.view import FleetView, connect
@@ -22,6 +22,7 @@ from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.group import instance_name
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from eigenscan.schemas.words import state_word
 
 ASK_S = 5.0
 """Longest wait for liveliness tokens, and for the map of a site that has one, s; usually milliseconds."""
@@ -133,7 +134,7 @@ class _PoseEvents:
         self._events.write(
             "state" if changed else "pose",
             stamp_ns=nanoseconds(pose.timestamp),
-            state=state_name(pose.state),
+            state=state_word(pose.state),
             confidence=pose.confidence,
             x=pose.pose.x,
             y=pose.pose.y,
@@ -161,10 +162,10 @@ def pose_text(pose: PoseEstimate | None, age_s: float, lacking: Sequence[str], a
     if pose is None:
         return f"no pose yet ({'; '.join(lacking)})" if lacking else "no pose yet"
     if age_s > OLD_S:
-        return f"no pose for {age_s:.0f} s (then {state_name(pose.state)}): do scans still come?"
+        return f"no pose for {age_s:.0f} s (then {state_word(pose.state)}): do scans still come?"
     at = pose.pose
     return (
-        f"{state_name(pose.state)}  confidence {pose.confidence:.2f}  "
+        f"{state_word(pose.state)}  confidence {pose.confidence:.2f}  "
         f"x {at.x:.2f} m  y {at.y:.2f} m  heading {math.degrees(at.theta):.0f}°"
         + (f"  {advised}" if advised else "")
     )

@@ -6,7 +6,6 @@ import time
 from math import degrees
 
 from eigenscan.runtime.printable import MOST, printable, shortened
-from eigenscan.schemas.tracking_pb2 import State
 from rich.console import Console
 from rich.markup import escape
 
@@ -51,13 +50,6 @@ class StatusLine:
 def _printable(text: str) -> str:
     """Printable and cut as a whole, with the gaps between its columns."""
     return "  ".join(map(printable, shortened(text, MOST).split("  ")))
-
-
-def state_name(state: int) -> str:
-    """`localized`, `ambiguous` or `lost`; `unknown` for any other number."""
-    if state not in State.values():
-        return "unknown"
-    return State.Name(state).removeprefix("STATE_").lower()
 
 
 def error_text(metres: float, radians: float) -> str:

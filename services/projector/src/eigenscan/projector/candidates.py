@@ -44,12 +44,12 @@ class Candidates:
     """n poses of the sensor, most likely first. `region` (n,): the region that proposed each.
 
     `ordinary`: support of a place that merely looks similar. `waiting` (R,): regions left to later scans, if
-    there are any. `cut`: as many as are published at most: others as likely may be missing.
+    there are any. `surfaces`: of thick walls, those that the poses fit. `cut`: as many as are published at
+    most: others as likely may be missing.
     """
 
     poses: Array
     covariances: Array
-    supports: Array
     log_likelihoods: Array
     explained: Array
     region: Index
@@ -59,4 +59,3 @@ class Candidates:
     waiting: NDArray[np.bool_] | None = None
     surfaces: Surfaces = SURFACES_UNSPECIFIED
     cut: bool = False
-    """Of thick walls, those that the poses fit."""

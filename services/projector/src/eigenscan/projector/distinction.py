@@ -23,7 +23,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 BEAMS = 72
 """Beams of a scan that are cast: at most so many, evenly spread."""

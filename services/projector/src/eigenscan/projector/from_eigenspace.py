@@ -41,7 +41,6 @@ def answer(
     return Candidates(
         poses,
         np.tile(Cp, (len(poses), 1, 1)),
-        np.zeros(len(poses)),
         chance - 0.5 * found.squares / usual,
         np.zeros(len(poses)),
         region,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.eigenspace.floors import Floor, usable_floors
 from eigenscan.eigenspace.model import ModelError, RegionModel, set_version
-from eigenscan.geometry.gridmap import GridMap, MapError, from_message
+from eigenscan.geometry.gridmap import GridMap, from_message
 from eigenscan.projector import set_aside
 from eigenscan.projector.set_aside import Sizes, size_of_model
 from eigenscan.schemas import model_pb2
@@ -185,6 +185,3 @@ def _fit_together(regions: tuple[RegionModel, ...], grid: GridMap) -> None:
                 f"region {model.region!r}: positions {model.spacing} m apart, those of {first.region!r} "
                 f"{first.spacing} m: build the whole site again"
             )
-
-
-__all__ = ["MapError", "ModelError", "ModelSetAssembler", "WholeSet"]

@@ -337,7 +337,6 @@ def _weigh_promising(
     return Candidates(
         poses,
         covariances,
-        supports,
         likelihood,
         explained[kept],
         region[kept],

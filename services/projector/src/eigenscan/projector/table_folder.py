@@ -91,5 +91,5 @@ class TableFolder:
 
 
 def in_a_thread(work: Any) -> None:
-    """Runs `work` in a thread of low priority."""
+    """Runs `work` in a thread that ends with the process."""
     threading.Thread(target=work, name="tables", daemon=True).start()

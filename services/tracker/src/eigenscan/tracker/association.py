@@ -62,18 +62,12 @@ def within_gate(x: Array, C: Array, y: Array, R: Array, gate: float) -> tuple[In
     return track[:count], hypothesis[:count], distance2[:count], log_overlap[:count]
 
 
-def crowding(y: Array, R: Array) -> Array:
+@njit(_NUMBERS(ROWS, MATRICES), cache=True)  # pragma: no cover - compiled
+def crowding_each(y: Array, R: Array) -> Array:
     """How many hypotheses (k, 3), (k, 3, 3) share each one's place, itself included; shape (k,), >= 1.
 
     Overlapping hypotheses describe one peak of the likelihood; dividing by this counts the peak once.
     """
-    result: Array = crowding_each(y, R)
-    return result
-
-
-@njit(_NUMBERS(ROWS, MATRICES), cache=True)  # pragma: no cover - compiled
-def crowding_each(y: Array, R: Array) -> Array:
-    """The same, compiled."""
     track, _, distance2, _ = within_gate(y, R, y, R, 50.0)
     count = np.zeros(len(y))
     for pair in range(len(track)):

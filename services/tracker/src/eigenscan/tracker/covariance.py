@@ -1,19 +1,13 @@
-"""Pose covariances (..., 3, 3) in m^2, m rad, rad^2: validity, fusion in information form, moments.
+"""Pose covariances (..., 3, 3) in m^2, m rad, rad^2: validity, volume, distance, density.
 
-Headings live on the circle: residuals are shortest turns, means are directions.
+Headings live on the circle: residuals are shortest turns.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from eigenscan.geometry.symmetric import determinant_each
-from eigenscan.tracker.symmetric import (
-    apart_each,
-    fuse_each,
-    is_covariance_each,
-    mahalanobis_squared_each,
-    moments_of,
-)
+from eigenscan.tracker.symmetric import apart_each, is_covariance_each, mahalanobis_squared_each
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -62,25 +56,9 @@ def log_density(delta: Array, covariance: Array) -> Array:
     return -0.5 * mahalanobis_squared(delta, covariance) - log_volume(covariance)
 
 
-def fuse(x: Array, C: Array, y: Array, R: Array) -> tuple[Array, Array]:
-    """Predicted poses X*, C* with observed Y, C in information form (paper, section 7).
-
-    C^ = (C*^-1 + C^-1)^-1 and X^ = C^ (C*^-1 X* + C^-1 Y), written as X* + C^ C^-1 (Y - X*) so that the
-    weighted mean is right on the circle. Shapes (n, 3) and (n, 3, 3).
-    """
-    pose, covariance = fuse_each(x, C, y, R)
-    return pose, covariance
-
-
 def _rows(array: Array, shape: tuple[int, ...], inner: int) -> Array:
     """What has `inner` dimensions of its own, once for each of a leading `shape`, one after the other."""
     own = array.shape[array.ndim - inner :]
     if array.shape != shape + own:
         array = np.broadcast_to(array, shape + own)
     return array if len(shape) == 1 else array.reshape(-1, *own)
-
-
-def moments(x: Array, C: Array, weight: Array) -> tuple[Array, Array]:
-    """Mean (3,) and covariance (3, 3) of a mixture of Gaussians (n, 3), (n, 3, 3) around its heaviest."""
-    mean, covariance = moments_of(x, C, weight)
-    return mean, covariance

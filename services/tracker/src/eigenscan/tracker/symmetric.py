@@ -88,7 +88,11 @@ def mahalanobis_squared_each(delta: Array, covariance: Array) -> Array:
     cache=True,
 )
 def fuse_each(x: Array, C: Array, y: Array, R: Array) -> tuple[Array, Array]:
-    """Kalman updates in information form: poses (n, 3) and covariances (n, 3, 3)."""
+    """Predicted poses X*, C* with observed Y, C in information form (paper, section 7).
+
+    C^ = (C*^-1 + C^-1)^-1 and X^ = C^ (C*^-1 X* + C^-1 Y), written as X* + C^ C^-1 (Y - X*) so that the
+    weighted mean is right on the circle. Shapes (n, 3) and (n, 3, 3).
+    """
     fused_x, fused_C = np.empty((len(x), 3)), np.empty((len(x), 3, 3))
     for i in range(len(x)):
         information = inverse(triangle(R[i]))

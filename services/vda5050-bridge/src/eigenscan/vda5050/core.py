@@ -22,7 +22,8 @@ from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tick import TICK
-from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, State
+from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation
+from eigenscan.schemas.words import state_word
 from eigenscan.vda5050 import messages
 from eigenscan.vda5050.actions import (
     FACTSHEET_REQUEST,
@@ -61,15 +62,11 @@ class Vda5050Core:
     outputs: tuple[Channel, ...] = (MQTT_PUBLISHED, RELOCATION)
 
     def __init__(
-        self,
-        settings: Vda5050Settings,
-        site: str = DEFAULT_SITE,
-        robot: str = DEFAULT_ROBOT,
-        serial: str = "",
+        self, settings: Vda5050Settings, site: str = DEFAULT_SITE, robot: str = DEFAULT_ROBOT
     ) -> None:
-        """`site` and `robot` are those of the keys; `serial` the robot's serial number: default its name."""
+        """`site` and `robot` are those of the keys."""
         self._settings, self._address = settings, {"site": site, "robot": robot}
-        self._serial = serial or settings.serial_number or robot
+        self._serial = settings.serial_number or robot
         self._maps = Maps(settings.map_id)
         self._now = Situation(maps=self._maps.ids())
         self._estimate: PoseEstimate | None = None
@@ -288,9 +285,7 @@ class Vda5050Core:
             return f"no pose arrived for {self._settings.stale_s} s"
         if self._estimate is None:
             return "the pose is not finite"
-        state = self._estimate.state
-        known = state in State.values()  # a later tracker may have more
-        return State.Name(state).removeprefix("STATE_").lower() if known else "unknown"
+        return state_word(self._estimate.state)
 
     def _publish(self, topic: str, body: dict[str, Any]) -> Iterator[Envelope]:
         if self._broker:

@@ -13,7 +13,7 @@ with needs("eigenscan-vda5050-bridge[node]", SystemExit):
 
 
 def _make_core(options: Vda5050Options) -> Vda5050Core:
-    return Vda5050Core(options, options.site, options.robot, options.serial)
+    return Vda5050Core(options, options.site, options.robot)
 
 
 SERVICE = Service("vda5050-bridge", Vda5050Options, _make_core, make_port=MqttPort)

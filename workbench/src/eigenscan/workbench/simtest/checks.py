@@ -19,6 +19,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tick import TICK
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import encode
+from eigenscan.schemas.words import status_word
 from eigenscan.tracker.planar import wrap
 from eigenscan.workbench.simtest.disk import WRITTEN_BACK_S
 from eigenscan.workbench.simtest.process import Process
@@ -154,7 +155,7 @@ class Judge:
         now = self.site.agenda.now
         before = self._health.get(process, (0.0, Health()))[1]
         if (before.status, before.detail) != (health.status, health.detail):
-            name = Health.Status.Name(health.status).removeprefix("STATUS_")
+            name = status_word(health.status).upper()
             self.site.note(f"{process.name}: {name} {health.detail}".rstrip())
         self._health[process] = now, health
         if health.status == Health.STATUS_DEGRADED and not health.detail:
@@ -247,7 +248,7 @@ class Judge:
             if not process.is_up or health is None or now - at > 3.0:
                 yield "recovery", f"{process.name}: is not back {SETTLE_S:.0f} s after the last fault"
             elif health.status != Health.STATUS_OK:
-                name = Health.Status.Name(health.status).removeprefix("STATUS_")
+                name = status_word(health.status).upper()
                 yield "recovery", f"{process.name}: {name}: {health.detail}"
             else:
                 yield from self._old_latched(process)

@@ -8,7 +8,6 @@ import numpy as np
 from eigenscan.geometry.pose import Array, compose
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.workbench.simulation.people import RADIUS
-from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -77,24 +76,6 @@ LIDARS = {
 
 They sweep as long as their angle's share of a turn takes. The LMS 200's mirror turns 75 times a second.
 """
-
-SAME_WALL = 0.05
-"""m: two maps that differ by no more along a beam show it the same wall."""
-
-
-def unexpected(
-    lidar: Lidar, world: RayCaster, known: RayCaster, base: Array, people: Array
-) -> NDArray[np.bool_]:
-    """Which beams (B,) from the base pose (3,) end on parts of the `world` that the map `known` lacks.
-
-    Those are people (n, 2), m, and furniture.
-    """
-    sensor = compose(base, lidar.mount)
-    wall = world.cast(sensor, lidar.bearings, lidar.range_max)[0].astype(np.float64)
-    shown = known.cast(sensor, lidar.bearings, lidar.range_max)[0].astype(np.float64)
-    body = to_discs(sensor, lidar.bearings, people, RADIUS)
-    on_it: NDArray[np.bool_] = (body < wall) | (np.isfinite(wall) & (shown > wall + SAME_WALL))
-    return on_it
 
 
 def to_discs(sensor: Array, bearings: Array, centres: Array, radius: float) -> Array:

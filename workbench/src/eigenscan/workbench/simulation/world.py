@@ -5,7 +5,7 @@ All lengths are metres in the map frame, whose origin is the building's south-we
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
@@ -66,12 +66,6 @@ class FloorPlan:
     rooms: dict[str, Box]
     doors: tuple[Box, ...]
     furniture: tuple[Box | Disc, ...]
-
-    def with_moved(self, piece: Box, x: float, y: float) -> FloorPlan:
-        """The plan with one piece of furniture moved by x, y, m. Raises ValueError if it is not there."""
-        index = self.furniture.index(piece)
-        moved = (*self.furniture[:index], piece.moved(x, y), *self.furniture[index + 1 :])
-        return replace(self, furniture=moved)
 
     def render(self, resolution: float = RESOLUTION) -> GridMap:
         """The plan as cells: FREE rooms, OCCUPIED walls and furniture, UNKNOWN outside."""

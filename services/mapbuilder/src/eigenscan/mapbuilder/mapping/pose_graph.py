@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 import numpy as np
-from eigenscan.geometry.pose import Array, between
+from eigenscan.geometry.pose import Array
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -41,17 +41,6 @@ class Edge:
     pose: Array
     covariance: Array
     trusted: bool = False
-
-
-def residuals(edges: Sequence[Edge], poses: ArrayLike) -> Array:
-    """Error (E, 3) of each edge at the poses (K, 3), in its standard deviations."""
-    poses = np.asarray(poses, dtype=np.float64)
-    if not edges:
-        return np.zeros((0, 3))
-    first, second = np.array([(e.first, e.second) for e in edges]).T
-    error = between(np.array([e.pose for e in edges]), between(poses[first], poses[second]))
-    whiten = np.linalg.inv(np.linalg.cholesky(np.array([e.covariance for e in edges])))
-    return np.asarray(np.einsum("eij,ej->ei", whiten, error))
 
 
 def parts(count: int, edges: Sequence[Edge]) -> NDArray[np.int64]:

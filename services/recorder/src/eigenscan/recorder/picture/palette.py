@@ -8,8 +8,8 @@ from eigenscan.schemas.tracking_pb2 import (
     STATE_LOCALIZED,
     STATE_LOST,
     STATE_UNSPECIFIED,
-    State,
 )
+from eigenscan.schemas.words import state_word
 from numpy.typing import ArrayLike, NDArray
 
 Colour = tuple[int, int, int]
@@ -37,10 +37,9 @@ STATE_COLOURS = {
 }
 
 
-def state_name(state: State) -> str:
+def state_name(state: int) -> str:
     """Name of a state for operators, such as LOCALIZED; UNKNOWN for other numbers."""
-    known = state in STATE_COLOURS and state != STATE_UNSPECIFIED
-    return State.Name(state).removeprefix("STATE_") if known else "UNKNOWN"
+    return state_word(state).upper()
 
 
 def blend(low: Colour, high: Colour, share: ArrayLike) -> NDArray[np.uint8]:

@@ -13,6 +13,7 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import LidarKind
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
+from eigenscan.schemas.words import status_word
 
 REFRESH_NS = 2_000_000_000
 ROBOT_NS = 2_500_000
@@ -150,9 +151,7 @@ class Events:
         if not self._canvas.newest or self._last.get(who) == now:
             return
         self._last[who] = now
-        known = message.status in LEVELS
-        word = Health.Status.Name(message.status).removeprefix("STATUS_") if known else "?"
-        text = f"{'/'.join(who)}: {word} {message.detail}".rstrip()
+        text = f"{'/'.join(who)}: {status_word(message.status).upper()} {message.detail}".rstrip()
         level = LEVELS.get(message.status, rr.TextLogLevel.WARN)
         self._canvas.draw(self._canvas.newest, f"events/{who[0]}", rr.TextLog(text, level=level))
 
