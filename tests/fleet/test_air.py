@@ -217,6 +217,22 @@ def test_a_robot_that_floods_is_held_back_at_the_site(fleet: Fleet) -> None:
     assert sizes == {0, len(MARKED), len(b"last")}
 
 
+def test_a_query_is_no_larger_than_a_message(fleet: Fleet) -> None:
+    key, sizes = MAP.key(ADDRESS), list[int]()
+
+    def answer(query: zenoh.Query) -> None:
+        sizes.append(len(query.payload or b""))
+        query.reply(key, b"map")
+
+    with fleet.at_site("mapbuilder") as site, fleet.past_its_router("r18") as thief:
+        queryable = site.declare_queryable(key, answer)
+        until(lambda: bool([*thief.get(key, payload=b"x", timeout=2.0)]), "nobody answers")
+        assert not [*thief.get(key, payload=bytes(2_000_000), timeout=5.0)]
+        assert [*thief.get(key, payload=b"xy", timeout=5.0)]
+        queryable.undeclare()
+    assert set(sizes) == {1, 2}
+
+
 def test_what_waited_for_a_bad_link_passes_at_once_where_floods_are_not_held_back(tmp_path: Path) -> None:
     fleet, received, met = make_fleet(tmp_path), Counter[str](), Counter[str]()
     settings = fleet.folder / "fleet.toml"

@@ -13,7 +13,7 @@ from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.pose import compose, to_message
 from eigenscan.geometry.raycast import RayCaster
-from eigenscan.projector.advice import MOST_PLACES, Advisor, Places, best_move
+from eigenscan.projector.advice import MOST_PLACES, MOST_TRACKS, Advisor, Places, best_move
 from eigenscan.projector.distinction import (
     Lidar,
     expected_share,
@@ -258,6 +258,14 @@ def test_tracks_near_each_other_are_one_place_and_the_faint_ones_none() -> None:
     assert places.tracks[0] == 1
     assert places.shares.sum() == pytest.approx(1.0)
     assert places.shares[0] > 0.4
+
+
+def test_of_tracks_without_end_the_most_probable_ones_count() -> None:
+    count = 4 * MOST_TRACKS
+    poses = np.column_stack([10.0 * np.arange(count), np.zeros(count), np.zeros(count)])
+    places = Places.of(tracks_of(S, poses, (*(1e-4,) * (count - 2), 0.4, 0.5)))
+    assert places.tracks == (count, count - 1)
+    assert places.shares.sum() == pytest.approx(1.0)
 
 
 def test_places_off_the_map_do_no_harm() -> None:

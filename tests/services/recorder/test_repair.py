@@ -211,3 +211,15 @@ def test_what_is_no_recording_is_one_line(tmp_path: Path, content: bytes) -> Non
     assert "other.mcap" in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_two_recordings_one_after_the_other_are_no_whole_one(whole: Path, tmp_path: Path) -> None:
+    joined = tmp_path / "joined.mcap"
+    joined.write_bytes(2 * whole.read_bytes())
+    assert not is_sound(joined)
+    found = repair(joined, tmp_path / "saved.mcap")
+    assert (found.messages, found.beyond, found.cut) == (COUNT, whole.stat().st_size, False)
+    assert stamps(tmp_path / "saved.mcap") == stamps(whole)
+    ran = eigenscan("repair", joined, "-o", tmp_path / "again.mcap")
+    assert ran.returncode == 0
+    assert f"{whole.stat().st_size} bytes after its end, left out: another recording?" in ran.stdout

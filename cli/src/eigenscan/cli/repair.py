@@ -45,6 +45,7 @@ def repair(
         f"damaged chunks, lost: {found.lost_chunks}" if found.lost_chunks else "",
         f"messages of channels that they name: {found.lost_messages}" if found.lost_messages else "",
         "it breaks off" if found.cut else "",
+        f"{found.beyond} bytes after its end, left out: another recording?" if found.beyond else "",
     ]
     words = ", ".join(part for part in lost if part) or "its index was missing"
     if wants_words(json_file):
@@ -57,6 +58,7 @@ def repair(
         "lost_chunks": found.lost_chunks,
         "lost_messages": found.lost_messages,
         "cut": found.cut,
+        "bytes_beyond": found.beyond,
     }
     write_figures(figures, json_file)
 

@@ -26,7 +26,9 @@ Zenoh limits the time between two samples. Of samples that waited, for a bad lin
 together, only the first passes. A higher factor loses fewer of them.
 """
 LARGEST_BYTES = 1_000_000
-"""Largest message from a robot; a raw scan has some tens of kilobytes."""
+"""Largest message from a robot, and largest query; a raw scan has some tens of kilobytes."""
+MOST_ROUTED_BYTES = 2**27
+"""Of any message, which a router puts together before it asks who sent it: a map of 330,000 m2 at 5 cm."""
 
 ROBOTS = "robots"
 """Field of `metadata`, which Zenoh leaves to users."""
@@ -97,7 +99,11 @@ def site_router(
         "scouting": _NO_SCOUTING,
         "transport": {
             "unicast": {"max_sessions": MOST_ROBOTS},
-            "link": {"tls": _tls("router", "listen"), "tx": _DEEP_QUEUES},
+            "link": {
+                "tls": _tls("router", "listen"),
+                "tx": _DEEP_QUEUES,
+                "rx": {"max_message_size": MOST_ROUTED_BYTES},
+            },
             "shared_memory": {"enabled": False},
         },
         "qos": {"network": [_together(site)]},
@@ -110,7 +116,14 @@ def site_router(
                 "messages": ["put"],
                 "key_exprs": [f"{site}/robot/**", f"{site}/health/**"],
                 "size_limit": LARGEST_BYTES,
-            }
+            },
+            {
+                "id": "largest query",
+                "flows": ["ingress"],
+                "messages": ["query"],
+                "key_exprs": [f"{site}/**"],
+                "size_limit": LARGEST_BYTES,
+            },
         ],
     }
 

@@ -14,6 +14,9 @@ from eigenscan.schemas.channels import Channel, find
 from eigenscan.schemas.wire import encoding
 from google.protobuf.message import Message
 
+MOST_LISTED = 2**16
+"""Samples that one may hold: a region of a site each. A stranger's list may be of any length."""
+
 
 class Intake:
     """Puts samples into an inbox; of a latched key only samples newer than the last."""
@@ -114,8 +117,9 @@ def _nobody() -> None:
 
 
 def digests_in(payload: Any) -> frozenset[bytes]:
-    """Digests that a query's payload lists as held."""
-    listed = payload.to_bytes() if payload is not None else b""
+    """Digests that a query's payload lists as held; none where they are more than anybody holds."""
+    known = payload is not None and len(payload) <= MOST_LISTED * DIGEST_BYTES
+    listed = payload.to_bytes() if known else b""
     return frozenset(listed[i : i + DIGEST_BYTES] for i in range(0, len(listed), DIGEST_BYTES))
 
 

@@ -29,6 +29,8 @@ class Salvage:
     """Messages of channels that only a lost chunk defined."""
     cut: bool = False
     """Whether the file ends before its end mark, or becomes unreadable at some place."""
+    beyond: int = 0
+    """Bytes after its proper end: of another recording, say."""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
 
@@ -73,7 +75,7 @@ def is_sound(path: Path, moved: Moved = lambda _bytes: None) -> bool:
             pass
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    return not (found.cut or found.lost_chunks)
+    return not (found.cut or found.lost_chunks or found.beyond)
 
 
 def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
@@ -93,6 +95,7 @@ def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
                 yield from _after(file, begins, found, moved)
                 return
             if record is None:
+                found.beyond = found.size - file.tell()
                 return
             begins = file.tell()
             moved(begins)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from heapq import nlargest
+from operator import attrgetter
 
 import numpy as np
 from eigenscan.geometry.circle import TURN, wrap
@@ -25,6 +27,8 @@ Array = NDArray[np.float64]
 MoveTo = Callable[[int], Move]
 """Of several moves the one with this number."""
 
+MOST_TRACKS = 256
+"""The most probable ones, in which places are looked for; a tracker keeps fewer."""
 APART_NS = 900_000_000
 """Between two pieces of advice at least: one a second, and stamps jitter."""
 LEAST_SHARE = 0.03
@@ -71,9 +75,10 @@ class Places:
     def of(cls, message: Tracks) -> Places:
         """The places of tracks; those near each other are one."""
         found: list[tuple[Array, float, int]] = []
-        for track in message.tracks:
+        likely = [track for track in message.tracks if 0.0 < track.probability <= 1.0]
+        for track in nlargest(MOST_TRACKS, likely, key=attrgetter("probability")):
             pose = from_message(track.pose)
-            if not (np.abs(pose) < FARTHEST).all() or not 0.0 < track.probability <= 1.0:
+            if not (np.abs(pose) < FARTHEST).all():
                 continue
             for i, (known, share, id_) in enumerate(found):
                 x, y, turn = pose - known
