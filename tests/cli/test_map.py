@@ -118,6 +118,14 @@ def test_a_log_that_is_not_there_and_a_name_that_is_no_yaml(tmp_path: Path) -> N
     assert "name a .yaml file" in done.stderr
 
 
+def test_a_place_that_cannot_be_written_is_named_before_the_log_is_read(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    done = run(tmp_path / "none.clf", "-o", tmp_path / "file/part.yaml")
+    assert done.returncode == 2
+    assert "none.clf" not in done.stderr
+    assert str(tmp_path / "file") in done.stderr
+
+
 @pytest.mark.dataset
 def test_a_drive_improves_a_given_map_and_keeps_its_frame(tmp_path: Path) -> None:
     with gzip.open(DATASETS / "fr079/log.clf.gz", "rt") as file:

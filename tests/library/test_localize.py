@@ -256,7 +256,7 @@ def test_time_must_go_on(localizer: Localizer, drive: Path) -> None:
 
 def test_an_image_needs_a_scale(tmp_path: Path) -> None:
     (tmp_path / "floor.png").write_bytes(b"")
-    with pytest.raises(MapError, match="--metres-per-unit"):
+    with pytest.raises(MapError, match="give metres_per_unit, m a pixel"):
         Localizer.from_map(tmp_path / "floor.png")
     with pytest.raises(MapError, match="metres per pixel"):
         Localizer.from_map(tmp_path / "floor.png", metres_per_unit=0.0)
@@ -273,6 +273,23 @@ def test_the_plot_shows_the_scan_on_the_walls(localizer: Localizer, drive: Path)
     grid = STAGE.grid.to_grid(np.asarray(points.get_offsets()))
     nearest = np.array([np.hypot(*(walls - point).T).min() for point in grid]) * STAGE.grid.resolution
     assert np.mean(nearest < 0.15) > 0.9
+
+
+def test_a_scan_without_a_greatest_range_has_its_returns(localizer: Localizer, drive: Path) -> None:
+    scan, _ = read_log(drive / "drive.mcap")[0]
+    open_ended = replace(scan, range_max=0.0)
+    assert np.array_equal(open_ended.returns, np.isfinite(np.asarray(scan.ranges)))
+    assert f"{np.isfinite(np.asarray(scan.ranges)).sum()} with a return, time" in repr(open_ended)
+    axes = localizer.plot(localizer.localize(open_ended))
+    (points,) = (each for each in axes.collections if each.get_label() == "its scan")
+    assert len(np.asarray(points.get_offsets())) == open_ended.returns.sum()
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e9])
+def test_a_time_in_another_unit_is_refused(localizer: Localizer, drive: Path, unit: float) -> None:
+    scan, _ = read_log(drive / "drive.mcap")[0]
+    with pytest.raises(ScanError, match="beyond the year 2096: give s, not ms or ns"):
+        replace(scan, time=1.7e9 * unit)
 
 
 def test_zenoh_is_not_imported(drive: Path) -> None:

@@ -171,3 +171,8 @@ def test_claims_with_the_logs_own_stamps_follow_the_logs_repair() -> None:
     own, saved = claims(1, 1), claims(1, 1, run="window-0")
     moved = {2 * NS: 1 * NS}
     assert [claim.stamp for claim in restamped([*own, *saved], moved)] == [2 * NS, 1 * NS]
+
+
+def test_kidnaps_that_claims_do_not_hold_are_not_judged() -> None:
+    with pytest.raises(EvaluationError, match="has no kidnap run"):
+        judged(claims(0, 20), kidnap=True)

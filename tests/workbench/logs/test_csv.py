@@ -79,6 +79,43 @@ def test_a_first_scan_of_few_beams_does_not_thin_out_the_next_ones(tmp_path: Pat
     assert [len(scan.ranges) for scan in _scans(tmp_path / "a.csv")] == [2, 120, 120]
 
 
+@pytest.mark.parametrize("by", [("lidar", "angle"), ("angle", "lidar")])
+def test_beams_of_two_lidars_may_take_turns(tmp_path: Path, by: tuple[str, str]) -> None:
+    rows = [
+        {"time": time, "lidar": lidar, "angle": angle, "range": 1.0 + angle / 100}
+        for time in (1, 2)
+        for lidar in "ab"
+        for angle in range(0, 180 if lidar == "a" else 90, 3)
+    ]
+    rows.sort(key=lambda row: (row["time"], *(row[name] for name in by)))
+    lines = ["time_s,lidar,angle_deg,range_m"]
+    lines += [",".join(map(str, row.values())) for row in rows]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    scans = _scans(tmp_path / "a.csv")
+    assert [int(np.isfinite(scan.ranges).sum()) for scan in scans] == [60, 30, 60, 30]
+
+
+def test_a_header_may_be_quoted(tmp_path: Path) -> None:
+    text = '"time_s","angle_min_deg","angle_increment_deg","range_m_0","range_m_1"\n1,0,1,2,3\n'
+    (tmp_path / "a.csv").write_text(text)
+    (scan,) = _scans(tmp_path / "a.csv")
+    assert list(scan.ranges) == [2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding", "words"),
+    [
+        ("time_s;angle_deg;range_m\n1;0;1\n", "utf-8", "separated by semicolons: separate them by commas"),
+        ("time_s\tangle_deg\trange_m\n1\t0\t1\n", "utf-8", "separated by tabs"),
+        ("time_s,angle_deg,range_m\n1,0,1\n", "utf-16", "is UTF-16: save it as UTF-8"),
+    ],
+)
+def test_a_spreadsheets_own_ways_are_named(tmp_path: Path, text: str, encoding: str, words: str) -> None:
+    (tmp_path / "a.csv").write_text(text, encoding=encoding)
+    with pytest.raises(LogError, match=words):
+        open_log(tmp_path / "a.csv")
+
+
 def test_a_time_for_each_beam_is_refused(tmp_path: Path) -> None:
     """A log of 30 turns was 10,830 scans."""
     lines = [f"{beam / 100},{beam},2.0" for beam in range(360)]

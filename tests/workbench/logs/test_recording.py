@@ -156,3 +156,16 @@ def test_stamps_as_logged_survive_an_import(tmp_path: Path) -> None:
     log = open_log(tmp_path / "a.mcap")
     assert [e.open(RawScan).ranges[0] for e in log.envelopes() if e.channel is not ODOMETRY] == [1.0, 2.0]
     assert log.logged == {2 * S: 9 * S}
+
+
+def test_a_recorders_folder_of_files_is_one_log(tmp_path: Path) -> None:
+    first, second = [moved(1), scan(1)], [moved(2), scan(2)]
+    record(tmp_path / "a.mcap", first)
+    record(tmp_path / "b.mcap", second)
+    (tmp_path / "c.mcap").write_bytes((tmp_path / "b.mcap").read_bytes()[:7])  # only begun
+    log = open_log(tmp_path)
+    received = list(log.envelopes())
+    assert [(e.key, e.stamp) for e in received] == [(e.key, e.stamp) for e in (*first, *second)]
+    assert log.format == "Eigenscan recording"
+    assert log.progress == 1.0
+    assert not log.counters["truncated_file"]

@@ -108,13 +108,17 @@ def map_log(
 
 
 def _check_outputs(target: Path, inputs: list[Path], force: bool) -> None:
-    """Raises UsageError where one of the four files would replace something unasked."""
+    """Raises UsageError where one of the four files would replace something unasked.
+
+    OSError where one cannot be written: now, not after the work.
+    """
     for path in (target, *(target.with_suffix(f".{end}") for end in ("pgm", "tum", "png"))):
         for given in inputs:
             if is_same(path, given):
                 raise UsageError(f"-o {target}: would overwrite {given}: name another file")
         if path.exists() and not (path.is_file() and force):
             raise UsageError(f"-o {target}: {path.name} is there already: name another file, or add --force")
+        prepare(path)
 
 
 def _located(

@@ -68,7 +68,7 @@ def _draw_scan(found: Hypotheses, axes: Axes) -> None:
     scan = found.scan
     ranges = np.asarray(scan.ranges, dtype=np.float64)
     angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-    seen = np.isfinite(ranges) & (ranges > scan.range_min) & (ranges < scan.range_max)
+    seen = scan.returns
     points = ranges[seen, None] * np.stack([np.cos(angles[seen]), np.sin(angles[seen])], axis=1)
     x, y = transform(compose(found.poses[0], scan.mount), points).T
     axes.scatter(x, y, s=4, color=SEEN, zorder=3, label="its scan")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from eigenscan.eigenspace.floors import floor_of
 from eigenscan.eigenspace.folder import SiteModel, read_models
-from eigenscan.geometry.gridmap import GridMap, check_grid, to_message
+from eigenscan.geometry.gridmap import GridMap, MapError, check_grid, to_message
 from eigenscan.geometry.plans import PlanOptions, read_plan
 from eigenscan.geometry.pose import to_message as pose_message
 from eigenscan.geometry.pose import to_pose3
@@ -91,7 +91,12 @@ class Localizer:
         place = Path(path)
         if place.is_dir():
             return cls(read_models(place), method)
-        return cls.from_grid(read_plan(place, PlanOptions(metres_per_unit, layers)), method)
+        try:
+            grid = read_plan(place, PlanOptions(metres_per_unit, layers))
+        except MapError as error:  # which names the command line's options
+            words = str(error).replace("--metres-per-unit", "metres_per_unit").replace("--layer", "layers")
+            raise MapError(words) from error
+        return cls.from_grid(grid, method)
 
     @classmethod
     def from_grid(cls, grid: GridMap, method: str = "default") -> Localizer:

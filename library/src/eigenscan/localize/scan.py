@@ -23,6 +23,10 @@ _UNITS = {
 }  # fmt: skip
 
 
+LATEST_S = 4_000_000_000
+"""Times before and after the epoch, s, at most."""
+
+
 class ScanError(ValueError):
     """A scan that cannot be used; the message names the fault."""
 
@@ -31,8 +35,8 @@ class ScanError(ValueError):
 class Scan:
     """A sweep: beam j looks along `angle_min + j * angle_increment` in the sensor's frame.
 
-    `ranges` (B,) in m; +inf, or `range_max` and more: no return; NaN, 0, masked, or below `range_min`:
-    missing.
+    `ranges` (B,) in m; +inf, or `range_max` (0: not stated) and more: no return; NaN, 0, masked, or below
+    `range_min`: missing.
     Angles in rad, counter-clockwise seen from above; an increment may be negative. `mount`: the sensor in
     the robot's base frame, m, m, rad. `time` in s, only needed for tracking.
     """
@@ -56,6 +60,8 @@ class Scan:
                 raise ScanError(f"{name} = {value!r}: give a number, {_UNITS[name]}")
         if not all(isinstance(value, Real) for value in np.asarray(self.mount).tolist()):
             raise ScanError(f"mount = {self.mount!r}: give numbers, m, m, rad")
+        if abs(self.time) > LATEST_S:
+            raise ScanError(f"time = {self.time:g}: beyond the year 2096: give s, not ms or ns")
         for name, angle in (("angle_min", self.angle_min), ("mount's heading", self.mount[2])):
             if abs(angle) > 2.0 * TURN:
                 raise ScanError(f"{name} = {angle:g}: more than two turns: give rad, not degrees")
@@ -63,11 +69,19 @@ class Scan:
     def __repr__(self) -> str:
         ranges = self._row()
         ends = np.degrees([self.angle_min, self.angle_min + (len(ranges) - 1) * self.angle_increment])
-        seen = np.count_nonzero((ranges > self.range_min) & (ranges < self.range_max))
+        within = f" within {self.range_max:g} m" if self.range_max else ""
         return (
-            f"<Scan: {len(ranges)} beams from {ends[0]:.1f} to {ends[1]:.1f} degrees, {seen} with a return "
-            f"within {self.range_max:g} m, time {self.time:g} s>"
+            f"<Scan: {len(ranges)} beams from {ends[0]:.1f} to {ends[1]:.1f} degrees, "
+            f"{np.count_nonzero(self.returns)} with a return{within}, time {self.time:g} s>"
         )
+
+    @property
+    def returns(self) -> NDArray[np.bool_]:
+        """Which beams (B,) came back: not those beyond `range_max`, unless it is 0, not stated."""
+        ranges = self._row()
+        most = self.range_max or np.inf
+        found: NDArray[np.bool_] = (ranges > self.range_min) & (ranges < most)
+        return found
 
     def _row(self) -> NDArray[np.float32]:
         """The ranges, one a beam."""

@@ -199,11 +199,15 @@ def judge_claims(
 ) -> Figures:
     """The figures of claims, like those of the pipeline's own poses; None for values that the table lacks.
 
-    Kidnaps are judged on request, or if `claims` has any. Raises EvaluationError for unknown runs, or if no
-    row lies in a window.
+    Kidnaps are judged if `claims` has any. Raises EvaluationError for unknown runs, if kidnaps are asked for
+    and there are none, or if no row lies in a window.
     """
-    kidnap = kidnap or any(claim.run.startswith("kidnap") for claim in claims)
-    kidnaps = dict(kidnaps_of(log, windows, reference)) if kidnap else {}
+    has_kidnaps = any(claim.run.startswith("kidnap") for claim in claims)
+    if kidnap and not has_kidnaps:
+        raise EvaluationError(
+            f"{path}: has no kidnap run, such as kidnap-7 in its column window: leave --kidnap out"
+        )
+    kidnaps = dict(kidnaps_of(log, windows, reference)) if has_kidnaps else {}
     names = {"", *(f"window-{index}" for index in range(len(windows))), *kidnaps}
     for claim in claims:
         if claim.run not in names:

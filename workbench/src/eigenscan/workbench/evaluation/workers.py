@@ -8,8 +8,10 @@ from __future__ import annotations
 import resource
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing import active_children, get_context
 from typing import TypeVar
@@ -45,8 +47,20 @@ _here: list[Worker] = []
 """The worker of a process that has one."""
 
 
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Processes that begin meanwhile ignore them, too, from their first import on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _begin(models: Packed, warm_up: Packed, settings: PipelineSettings) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the caller too, who ends this process
     _here.append(Worker(models, warm_up, settings))
 
 
@@ -89,6 +103,8 @@ class Workers:
         self._asked = 1 if jobs == 1 else 8 * jobs  # so many that each process is asked, most likely
         if jobs > 1:
             self._pool = ProcessPoolExecutor(jobs, get_context("spawn"), _begin, beginning)
+            with _interrupts_ignored():  # Ctrl-C reaches the caller too, who ends these processes
+                self._pool.submit(int)  # which begins them all
         else:
             self._own = Worker(*beginning)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from eigenscan.workbench.logs.log import Log, LogError, LogOptions, Mount
@@ -52,7 +53,7 @@ def _file(path: Path) -> Opener:
 
 def _folder(path: Path) -> Opener:
     if any(path.glob("*.mcap")):
-        return _ros2_mcap
+        return _mcap
     if any(path.glob("*.db3*")):
         return _ros2
     raise _unknown(path, "is a folder without a ROS 2 bag")
@@ -80,17 +81,32 @@ def _ros2_mcap(path: Path, options: LogOptions) -> Log:
 
 
 def _mcap(path: Path, options: LogOptions) -> Log:
+    if not path.is_dir():
+        is_ours = _is_recording(path)
+    else:
+        is_ours = False
+        for part in sorted(path.glob("*.mcap")):
+            with suppress(LogError):  # of several files one may have been begun only
+                is_ours = is_ours or _is_recording(part)
+    if not is_ours:
+        return _ros2_mcap(path, options)
+    from eigenscan.workbench.logs.recording import RecordingLog
+
+    return RecordingLog(path, options)
+
+
+def _is_recording(path: Path) -> bool:
+    """Whether an MCAP has channels of the pipeline."""
     from collections import Counter
 
     from eigenscan.schemas.channels import find
     from eigenscan.workbench.logs.mcap_messages import McapFile
-    from eigenscan.workbench.logs.recording import RecordingLog
 
     for topic, _, schema in McapFile(path, Counter()).channels():
         found = find(topic)
         if found is not None and found[0].schema_name == schema:
-            return RecordingLog(path, options)
-    return _ros2_mcap(path, options)
+            return True
+    return False
 
 
 def _unknown(path: Path, what: str) -> LogError:

@@ -40,10 +40,25 @@ DEFAULT_LIDAR = "lidar"
 
 
 def looks_like_csv(path: Path) -> bool:
-    """Whether the first line names a column of times."""
+    """Whether the first line names a column of times.
+
+    Raises LogError for a table that a spreadsheet wrote with other separators or in another encoding.
+    """
     with path.open("rb") as file:
         header = file.readline(LONGEST_HEADER)
-    return TIME in header.decode("utf-8-sig", "replace").strip().split(",")
+    if TIME.encode("utf-16-le") in header or TIME.encode("utf-16-be") in header:
+        raise LogError(f"{path}: is UTF-16: save it as UTF-8")
+    for separator, what in ((",", ""), (";", "semicolons"), ("\t", "tabs")):
+        rows = csv.reader([header.decode("utf-8-sig", "replace").strip()], delimiter=separator)
+        try:
+            names = next(rows, [])
+        except csv.Error:  # of a file that is no table
+            return False
+        if TIME in map(str.strip, names):
+            if what:
+                raise LogError(f"{path}: line 1: columns are separated by {what}: separate them by commas")
+            return True
+    return False
 
 
 @dataclass(frozen=True)
@@ -165,8 +180,8 @@ class CsvLog:
     def _convert(self) -> Iterator[Envelope]:
         taken, alone, seen = 0, 0, set[str]()
         step: dict[str, float] = {}
-        for (time, lidar), group in groupby(self._lines(), lambda line: (line.value(TIME), _lidar(line))):
-            lines = list(group)
+        for time, lidar, group in self._groups():
+            lines = group
             if not abs(time) <= LATEST_S:
                 raise LogError(f"{self.path}: line {lines[0].number}, column {TIME}: {time:g} s is no time")
             stamp = round(time * 1e9)
@@ -221,6 +236,15 @@ class CsvLog:
             # beams of lines of their own were sorted by angle
             time_increment=0.0 if line.columns.angle else line.value(INCREMENT, 0.0),
         )
+
+    def _groups(self) -> Iterator[tuple[float, str, list[_Line]]]:
+        """Lines that follow each other with one time, s, those of each lidar together."""
+        for time, group in groupby(self._lines(), lambda line: line.value(TIME)):
+            lidars: dict[str, list[_Line]] = {}
+            for line in group:
+                lidars.setdefault(_lidar(line), []).append(line)
+            for lidar, lines in lidars.items():
+                yield time, lidar, lines
 
     def _lines(self) -> Iterator[_Line]:
         size = max(self.path.stat().st_size, 1)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from eigenscan.runtime.recording import Record, RecordingError, is_complete, read, read_metadata
+from eigenscan.runtime.recording import Record, RecordingError, is_complete, parts, read, read_metadata
 from eigenscan.schemas.channels import DEFAULT_ROBOT, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -15,7 +15,10 @@ from eigenscan.workbench.logs.log import RECORDER_LAG_NS, LogError, LogOptions, 
 
 
 class RecordingLog:
-    """Raw scans and odometry of one robot in a recording, under the site and robot of the options."""
+    """Raw scans and odometry of one robot in a recording, a file or a recorder's folder of files.
+
+    Under the site and robot of the options.
+    """
 
     format = "Eigenscan recording"
 
@@ -25,7 +28,7 @@ class RecordingLog:
         self.progress = 0.0
         self.logged: dict[int, int] = {}
         self._imported = False
-        self._size = max(path.stat().st_size, 1)
+        self._size = max(sum(part.stat().st_size for part in parts(path)), 1)
 
     def envelopes(self) -> Iterator[Envelope]:
         """SCAN_RAW and ODOMETRY by stamp. Raises LogError if there is no scan, or several robots."""
