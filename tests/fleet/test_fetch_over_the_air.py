@@ -98,7 +98,7 @@ def test_an_operator_has_what_the_robot_recorded(fleet: Fleet, published: int, t
     assert done.returncode == 0, done.stderr
     reported = json.loads(done.stdout)
     assert reported["bytes_moved"] == sum(file["bytes"] for file in reported["files"]) > 0
-    (path,) = (tmp_path / "here").glob("*.mcap")
+    (path,) = (tmp_path / "here" / R17).glob("*.mcap")
     assert is_complete(path)  # though the recorder still writes its own
     assert sum(record.envelope.channel is POSE for record in read(path)) >= published
 

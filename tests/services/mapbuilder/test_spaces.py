@@ -15,7 +15,7 @@ from eigenscan.mapbuilder.keeping.change_manager import ChangeManager
 from eigenscan.mapbuilder.keeping.store import Store
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
-from eigenscan.mapbuilder.spaces import KINDS
+from eigenscan.mapbuilder.spaces import KINDS, OF_ONE_ROBOT
 from eigenscan.schemas.channels import LIDAR_KIND, SPACE
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.model_pb2 import LidarKind, RegionSpace
@@ -28,8 +28,8 @@ def site(office: GridMap) -> SiteModel:
     return build_site(office, Plan(step=TURN / 180))
 
 
-def ask(beams: int, cap: float = 12.0) -> Envelope:
-    address = {"site": "s", "robot": "r", "lidar": "l"}
+def ask(beams: int, cap: float = 12.0, robot: str = "r") -> Envelope:
+    address = {"site": "s", "robot": robot, "lidar": "l"}
     return Envelope(LIDAR_KIND, address, LidarKind(beams=beams, cap=cap))
 
 
@@ -72,9 +72,35 @@ def test_the_declared_lidar_and_nonsense_are_not_answered(site: SiteModel) -> No
 
 def test_a_site_serves_a_bounded_number_of_kinds(site: SiteModel) -> None:
     core = started(replace(site, regions=site.regions[:1]))
-    answered = [bool(published(core, ask(beams))) for beams in range(10, 10 + KINDS + 3)]
+    answered = [bool(published(core, ask(beams, robot=f"r{beams}"))) for beams in range(10, 10 + KINDS + 3)]
     assert answered == [True] * KINDS + [False] * 3
     assert core.condition().counters["lidar_kind_beyond_limit"] == 3
+    assert "3 requests for more kinds of lidars than 8" in core.condition().detail
+
+
+def test_one_robot_leaves_kinds_for_the_others(site: SiteModel) -> None:
+    core = started(replace(site, regions=site.regions[:1]))
+    answered = [bool(published(core, ask(beams))) for beams in range(10, 10 + KINDS)]
+    assert answered == [True] * OF_ONE_ROBOT + [False] * (KINDS - OF_ONE_ROBOT)
+    assert published(core, ask(100, robot="r18"))
+    # what others have asked for it is given as well
+    assert not published(core, ask(100))
+    assert core.condition().counters["lidar_kind_beyond_limit"] == KINDS - OF_ONE_ROBOT
+
+
+def test_a_kind_that_was_kept_and_nobody_has_gives_way(site: SiteModel, tmp_path: Path) -> None:
+    folder, one = tmp_path / "model", replace(site, regions=site.regions[:1])
+    write_models(one, folder)
+    first = ChangeManager(Store(folder), SETTINGS, "s")
+    list(first.start())
+    for beams in range(10, 10 + KINDS):
+        published(first, ask(beams, robot=f"r{beams}"))
+    again = ChangeManager(Store(folder), SETTINGS, "s")
+    list(again.start())
+    assert not published(again, ask(10, robot="r10"))
+    assert published(again, ask(100, robot="r18"))
+    assert len([*(folder / "spaces").iterdir()]) == KINDS
+    assert not published(again, ask(10, robot="r10"))
 
 
 def changed(model: RegionModel) -> RegionModel:

@@ -14,7 +14,7 @@ import zenoh
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.recording import RecordingError, message_count
 from eigenscan.runtime.repair import repair
-from eigenscan.schemas.channels import RECORDINGS_TEMPLATE
+from eigenscan.schemas.channels import MOST_RECORDED_BYTES, RECORDINGS_TEMPLATE
 from eigenscan.schemas.recordings_pb2 import RecordingPart, RecordingParts, RecordingRequest
 from google.protobuf.message import DecodeError
 
@@ -54,7 +54,10 @@ def asker(session: zenoh.Session, site: str, robot: str, patience_s: float) -> A
         refused = ""
         for reply in replies:
             if reply.ok is not None:
-                return reply.ok.payload.to_bytes()
+                payload = reply.ok.payload
+                if len(payload) > MOST_RECORDED_BYTES:
+                    raise FailedError(f"{robot}: answers with {len(payload)} bytes: do not trust this robot")
+                return payload.to_bytes()
             if reply.err is not None:
                 refused = reply.err.payload.to_bytes().decode(errors="replace")
         if refused and refused != "Timeout":

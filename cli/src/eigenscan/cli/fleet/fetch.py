@@ -25,8 +25,8 @@ def fetch(
     ],
     end: Annotated[str, typer.Option("--to", metavar=INSTANT, help="end, likewise")] = "now",
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="folder for the files; out/fetched/ROBOT without it")
-    ] = None,
+        Path, typer.Option("--out", "-o", help="folder; each robot's files are in one of its own")
+    ] = Path("out/fetched"),
     site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     seconds: Annotated[float, typer.Option(min=1.0, max=86_400.0, help="s to wait for each answer")] = 10.0,
@@ -56,9 +56,9 @@ def fetch(
     from eigenscan.workbench.progress import Bars
 
     prepare(json_file)
-    folder = out or Path("out/fetched") / robot
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--out {folder}: is no folder: name one")
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out}: is no folder: name one")
+    folder = out / robot  # two robots may name their files alike
     with connect(zenoh) as session:
         ask = asker(session, site, robot, seconds)
         parts = parts_within(ask, robot, begin_ns, end_ns)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from eigenscan.eigenspace.folder import SiteModel
 from eigenscan.geometry.gridmap import GridMap, to_message
 from eigenscan.mapbuilder.settings import MapbuilderSettings
-from eigenscan.mapbuilder.spaces import Spaces, SpaceStore
+from eigenscan.mapbuilder.spaces import KINDS, OF_ONE_ROBOT, Spaces, SpaceStore
 from eigenscan.schemas.channels import DEFAULT_SITE, LIDAR_KIND, MAP, MODEL, MODEL_SET, SPACE, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.health_pb2 import Health
@@ -56,7 +56,7 @@ class MapbuilderCore:
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """The eigenspaces for a kind of lidar that a projector lacks."""
         if received.channel == LIDAR_KIND and self._site is not None:
-            return self._spaces.receive(self._site, received.open(LidarKind))
+            return self._spaces.receive(self._site, received.open(LidarKind), received.address["robot"])
         return ()
 
     def finish(self) -> Iterable[Envelope]:
@@ -73,6 +73,10 @@ class MapbuilderCore:
         }
         counters |= self._spaces.counts
         detail = f"{counters['regions']} regions, version {self._version[:12]}"
+        if refused := counters.get("lidar_kind_beyond_limit", 0):
+            detail += (
+                f"; {refused} requests for more kinds of lidars than {KINDS}, or {OF_ONE_ROBOT} of a robot"
+            )
         return Condition(Health.STATUS_OK, detail, counters)
 
     def _map(self, grid: GridMap, frame_id: str) -> Envelope:

@@ -17,8 +17,11 @@ from eigenscan.schemas import model_pb2
 from eigenscan.schemas.channels import SPACE
 from eigenscan.schemas.envelope import Envelope
 
-KINDS = 8
-"""Kinds of lidars for which a site's mapbuilder makes eigenspaces; further ones derive their own."""
+KINDS, OF_ONE_ROBOT = 8, 2
+"""Kinds of lidars for which a site's mapbuilder makes eigenspaces, in all and of one robot.
+
+Further ones derive their own.
+"""
 
 Made = dict[str, RegionSpace]
 """Spaces for one kind of lidar by the version of the region's model."""
@@ -35,6 +38,10 @@ class SpaceStore(Protocol):
         """Keeps the spaces for one kind of lidar."""
         ...
 
+    def drop_spaces(self, analysis: Analysis) -> None:
+        """Keeps them no longer."""
+        ...
+
 
 class Spaces:
     """Answers the robots' kinds of lidar; publishes each region's space for each kind once."""
@@ -42,6 +49,8 @@ class Spaces:
     def __init__(self, site_name: str, settings: MapbuilderSettings, store: SpaceStore | None = None) -> None:
         self._site_name, self._settings, self._store = site_name, settings, store
         self._kinds: dict[Analysis, Made] = {}
+        self._asked_by: dict[Analysis, str] = {}
+        """The robot that first asked for a kind; a kind that was kept may have none."""
         self._published: dict[tuple[str, Analysis], str] = {}
         self.counts: Counter[str] = Counter()
 
@@ -54,21 +63,37 @@ class Spaces:
         for analysis in self._kinds:
             yield from self._publish(site, analysis)
 
-    def receive(self, site: SiteModel, asked: model_pb2.LidarKind) -> Iterator[Envelope]:
-        """Publishes the spaces for a kind of lidar; nothing if they exist already, or it is invalid."""
+    def receive(self, site: SiteModel, asked: model_pb2.LidarKind, robot: str) -> Iterator[Envelope]:
+        """Publishes the spaces for a robot's kind of lidar; nothing if they exist already, or it is invalid."""
         declared = site.regions[0].space.analysis
         if not (1 <= asked.beams <= ANALYSIS_TURN and 0 < asked.cap <= declared.embedding.cap):
             self.counts["lidar_kind_malformed"] += 1
             return
         analysis = replace(declared, embedding=replace(declared.embedding, cap=asked.cap), beams=asked.beams)
-        if analysis == declared or analysis in self._kinds:
+        if analysis == declared:
             return
-        if len(self._kinds) >= KINDS:
+        if [*self._asked_by.values()].count(robot) >= OF_ONE_ROBOT and self._asked_by.get(analysis) != robot:
+            self.counts["lidar_kind_beyond_limit"] += analysis not in self._kinds
+            return
+        if analysis in self._kinds:
+            self._asked_by.setdefault(analysis, robot)
+            return
+        if len(self._kinds) >= KINDS and not self._forget_one():
             self.counts["lidar_kind_beyond_limit"] += 1
             return
-        self._kinds[analysis] = {}
+        self._kinds[analysis], self._asked_by[analysis] = {}, robot
         self.counts["lidar_kinds"] += 1
         yield from self._publish(site, analysis)
+
+    def _forget_one(self) -> bool:
+        """Forgets a kind that was kept and that no robot has asked for; whether there was one."""
+        unused = next((kind for kind in self._kinds if kind not in self._asked_by), None)
+        if unused is None:
+            return False
+        del self._kinds[unused]
+        if self._store is not None:
+            self._store.drop_spaces(unused)
+        return True
 
     def _is_answered(self, site: SiteModel, analysis: Analysis) -> bool:
         declared = site.regions[0].space.analysis

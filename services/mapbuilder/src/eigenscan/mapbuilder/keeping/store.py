@@ -96,6 +96,11 @@ class Store:
         else:
             self._counts["spaces_kept"] += 1
 
+    def drop_spaces(self, analysis: Analysis) -> None:
+        """Deletes the eigenspaces of another lidar, if the folder allows it."""
+        with suppress(OSError):
+            (self.folder / SPACES / f"{analysis.name}.npz").unlink(missing_ok=True)
+
     def propose(self, site: SiteModel, about: Mapping[str, Any], picture: bytes) -> None:
         """Puts `site` beside the version in use, as the one proposal. Raises ModelError or OSError."""
         from eigenscan.mapbuilder.picture import draw_regions
