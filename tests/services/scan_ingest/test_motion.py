@@ -277,8 +277,29 @@ def test_identical_scans_are_counted_and_named() -> None:
     assert all(envelopes[-1].channel is SCAN for envelopes in published)
     repeats = [each[0].open(ScanMotion).repeats for each in published[1:]]
     assert repeats == list(range(1, 25))
-    assert lidar.fault.startswith("lidar r/front frozen: 20 or more identical scans")
+    assert lidar.fault.startswith("lidar r/front frozen: 20 or more scans repeat earlier ones")
     lidar.publish(seen((0.0, 0.5, 0.3), np.random.default_rng(2)))
+    assert not lidar.fault
+
+
+def test_scans_of_some_time_ago_that_come_again_are_repeats() -> None:
+    lidar, rng = Lidar(), np.random.default_rng(1)
+    drive = [seen((0.02 * k, 0.5, 0.01 * k), rng) for k in range(30)]
+    for scan in drive:
+        lidar.publish(scan)
+    assert not lidar.fault
+    again = [lidar.publish(scan)[0].open(ScanMotion) for scan in drive]
+    assert [each.repeats for each in again] == list(range(1, 31))
+    assert not any(each.HasField("motion") for each in again)
+    assert lidar.fault.startswith("lidar r/front frozen: 20 or more scans repeat earlier ones")
+
+
+def test_scans_with_few_returns_may_be_alike_by_chance() -> None:
+    lidar, empty = Lidar(), np.full(BEAMS, np.inf)
+    for k in range(60):
+        scan = empty.copy()
+        scan[k % 2] = 2.0
+        lidar.publish(scan)
     assert not lidar.fault
 
 

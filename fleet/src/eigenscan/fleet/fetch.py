@@ -54,10 +54,10 @@ def asker(session: zenoh.Session, site: str, robot: str, patience_s: float) -> A
         refused = ""
         for reply in replies:
             if reply.ok is not None:
-                payload = reply.ok.payload
-                if len(payload) > MOST_RECORDED_BYTES:
-                    raise FailedError(f"{robot}: answers with {len(payload)} bytes: do not trust this robot")
-                return payload.to_bytes()
+                answer = reply.ok.payload
+                if len(answer) > MOST_RECORDED_BYTES:
+                    raise FailedError(f"{robot}: answers with {len(answer)} bytes: do not trust this robot")
+                return answer.to_bytes()
             if reply.err is not None:
                 refused = reply.err.payload.to_bytes().decode(errors="replace")
         if refused and refused != "Timeout":

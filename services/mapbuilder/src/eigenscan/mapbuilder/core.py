@@ -74,9 +74,8 @@ class MapbuilderCore:
         counters |= self._spaces.counts
         detail = f"{counters['regions']} regions, version {self._version[:12]}"
         if refused := counters.get("lidar_kind_beyond_limit", 0):
-            detail += (
-                f"; {refused} requests for more kinds of lidars than {KINDS}, or {OF_ONE_ROBOT} of a robot"
-            )
+            most = f"{KINDS}, or {OF_ONE_ROBOT} of a robot"
+            detail += f"; {refused} requests for more kinds of lidars than {most}"
         return Condition(Health.STATUS_OK, detail, counters)
 
     def _map(self, grid: GridMap, frame_id: str) -> Envelope:

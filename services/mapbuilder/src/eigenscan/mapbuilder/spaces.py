@@ -64,7 +64,7 @@ class Spaces:
             yield from self._publish(site, analysis)
 
     def receive(self, site: SiteModel, asked: model_pb2.LidarKind, robot: str) -> Iterator[Envelope]:
-        """Publishes the spaces for a robot's kind of lidar; nothing if they exist already, or it is invalid."""
+        """Publishes the spaces for a robot's kind of lidar; nothing if they exist, or it is invalid."""
         declared = site.regions[0].space.analysis
         if not (1 <= asked.beams <= ANALYSIS_TURN and 0 < asked.cap <= declared.embedding.cap):
             self.counts["lidar_kind_malformed"] += 1

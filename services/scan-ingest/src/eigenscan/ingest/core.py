@@ -81,7 +81,7 @@ class _Lidar:
         """Its fault, as words after its name, which stay the same while it lasts; empty if there is none."""
         recent = list(self.recent)
         if self.watch.repeats + 1 >= FROZEN:
-            return f"frozen: {FROZEN} or more identical scans (or a simulated robot without noise stands)"
+            return f"frozen: {FROZEN} or more scans repeat earlier ones (or it is simulated without noise)"
         newest = recent[-1] if recent else ""
         if newest in SHOWN and recent.count(newest) >= NAMED:
             return SHOWN[newest]

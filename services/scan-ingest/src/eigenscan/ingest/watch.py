@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
+from hashlib import blake2b
 from math import hypot
 
 import numpy as np
@@ -39,6 +40,8 @@ Of neighbours on intel, jarvis and olin with fewer than 0.1, most do not fit, wi
 """
 LONGEST_NS = 5_000_000_000
 """Scans farther apart than this may have nothing in common."""
+REMEMBERED = 1024
+"""Scans that a later one may repeat: 100 s of a lidar of 10 Hz. Noise changes some beam of any other."""
 FROZEN = 20
 """Identical scans in a row that are named in health: even a quiet lidar's noise changes some beam."""
 ONE_VALUE_M = 0.1
@@ -58,7 +61,10 @@ class Watch:
 
     def __init__(self) -> None:
         self.repeats = 0
-        """Scans before the newest that were the same to the last bit, in a row."""
+        """Of the newest scans, how many repeat earlier ones to the last bit, in a row."""
+        self._digests: dict[bytes, None] = {}
+        """Of the last different scans, the oldest first."""
+        self._digest = b""
         self._last: Ranges | None = None
         self._reference: Points | None = None
         self._newest = 0
@@ -88,10 +94,10 @@ class Watch:
     ) -> tuple[int, Motion | None] | None:
         """Handles a canonical scan; returns the start of an interval, ns, and the motion since then.
 
-        None if it is too early; no motion if the scan repeats the one before.
+        None if it is too early; no motion if the scan repeats one of before.
         """
         last, self._last = self._last, ranges
-        if last is not None and last.shape == ranges.shape and _are_identical(last, ranges):
+        if self._is_known(ranges):
             self.repeats += 1
             since, self._newest = self._newest, stamp
             return since, None
@@ -127,6 +133,20 @@ class Watch:
         self._reference = points
         return reference.stamp, moved
 
+    def _is_known(self, ranges: Ranges) -> bool:
+        """Whether a scan repeats the one before, or one of the last REMEMBERED: drivers replay buffers."""
+        before, self._digest = self._digest, blake2b(ranges.tobytes(), digest_size=8).digest()
+        if self._digest == before:
+            return True
+        if self._digest in self._digests:
+            return bool(
+                np.count_nonzero(np.isfinite(ranges)) >= LEAST_BEAMS
+            )  # few returns are alike by chance
+        self._digests[self._digest] = None
+        if len(self._digests) > REMEMBERED:
+            del self._digests[next(iter(self._digests))]
+        return False
+
     def _is_early(self, stamp: int) -> bool:
         """Whether a later scan will do: of a fast lidar not every scan is laid on the reference."""
         self._stamps.append(stamp)
@@ -151,14 +171,6 @@ def alike(before: Ranges, after: Ranges, turned: int) -> float:
 
 
 _RANGES = types.Array(types.float32, 1, "A", readonly=True)
-
-
-@njit(types.boolean(_RANGES, _RANGES), cache=True)  # pragma: no cover - compiled
-def _are_identical(before: Ranges, after: Ranges) -> bool:
-    for one, other in zip(before, after):  # noqa: B905 - not known to numba
-        if one != other and not (np.isnan(one) and np.isnan(other)):
-            return False
-    return True
 
 
 @njit(types.float64(_RANGES, _RANGES, types.int64), cache=True)  # pragma: no cover - compiled
