@@ -85,6 +85,31 @@ def test_a_store_that_cannot_be_written_is_reported_and_costs_no_evidence(
     assert core.condition().counters["changes_proposed"] == 1
 
 
+@pytest.mark.parametrize("days", [2, -2])
+def test_a_robot_whose_clock_is_days_off_keeps_nobody_from_seeing_a_change(folder: Path, days: int) -> None:
+    core = start(folder, "propose")
+    for number in range(6):
+        right = Patrol(number).messages(MOVED, number * VISIT_S, robot="r1")
+        wrong = Patrol(number).messages(MOVED, number * VISIT_S + days * 86_400, robot="r2")
+        for pair in zip(right, wrong, strict=True):
+            for received in pair:
+                list(core.handle(received))
+    list(core.handle(tick(0)))
+    condition = core.condition()
+    assert condition.counters["changes_proposed"] == 2
+    assert condition.counters["looks_of_another_day"] > 0
+    assert condition.status == Health.STATUS_DEGRADED
+    assert condition.detail == "the clock of r2 and those of other robots are over a day apart: set them"
+
+
+def test_time_that_went_on_by_days_is_no_fault(folder: Path) -> None:
+    core = start(folder, "propose")
+    for number in range(6):
+        for received in Patrol(number).messages(MOVED, number * 3 * 86_400):
+            list(core.handle(received))
+    assert core.condition().status == Health.STATUS_OK
+
+
 def _full(*_: object) -> None:
     raise OSError(28, "No space left on device")
 

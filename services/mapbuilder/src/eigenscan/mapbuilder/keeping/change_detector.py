@@ -17,6 +17,9 @@ from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 
+IN_A_ROW = 20
+"""Views a day or more off that are set aside, until as many follow each other: then time has gone on."""
+
 
 class ChangeDetector:
     """Receives scans and poses of all robots of a site; returns the changes at the end of a visit."""
@@ -25,6 +28,10 @@ class ChangeDetector:
         self.evidence = evidence
         self.counts: Counter[str] = Counter()
         self._visits, self._frame_id = visits, frame_id
+        self._set_aside, self._whose = 0, ""
+        """Views in a row that were days off, and the last one's robot."""
+        self._odd = ""
+        """A robot whose clock is days off the others'."""
         self._observers: RecentlyUsed[str, dict[str, TrustedObserver]] = RecentlyUsed()
         """By robot, then by lidar."""
         self.trust(grid)
@@ -56,10 +63,25 @@ class ChangeDetector:
                 return None
             for observer in self._observers.use(robot, dict).values():
                 views += observer.add_pose(pose, judge)
-        ended = [self._count(view) for view in views]
+        ended = [self._count(view, robot) for view in views]
         return find_change(self._grid, self.evidence.run, self._visits) if any(ended) else None
 
-    def _count(self, view: View) -> bool:
+    @property
+    def problem(self) -> str:
+        """Which robot's views are set aside, and why; empty: none's."""
+        apart = f"the clock of {self._odd} and those of other robots are over a day apart: set them"
+        return apart if self._odd else ""
+
+    def _count(self, view: View, robot: str) -> bool:
+        if self.evidence.is_days_off(view.stamp) and self._set_aside < IN_A_ROW:
+            self._set_aside, self._whose = self._set_aside + 1, robot
+            self.counts["looks_of_another_day"] += 1
+            return False
+        if self._set_aside and not self.evidence.is_days_off(view.stamp):  # others' time goes on meanwhile
+            self._odd = self._whose
+        self._set_aside = 0
+        if robot == self._odd:
+            self._odd = ""
         ended = self.evidence.turn_to(view.stamp)
         self.evidence.add(mark(view, self._grid, self._agreement.contradicts(view)))
         return ended

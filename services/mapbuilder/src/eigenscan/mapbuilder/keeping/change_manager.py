@@ -96,7 +96,7 @@ class ChangeManager:
             return own
         seen: Counter[str] = self._detector.counts if self._detector else Counter()
         reported = replace(own, counters={**(self._counts + seen + self._store.counts), **own.counters})
-        problem = self._unreadable or self._problem
+        problem = self._unreadable or self._problem or (self._detector.problem if self._detector else "")
         if problem:
             return replace(reported, status=Health.STATUS_DEGRADED, detail=problem)
         return replace(reported, detail=f"{reported.detail}; {self._note}") if self._note else reported

@@ -49,6 +49,10 @@ class Evidence:
             grid.resolution,
         )
 
+    def is_days_off(self, stamp: int) -> bool:
+        """Whether `stamp`, ns, lies more than a day from the running visit."""
+        return self.visit >= 0 and abs(stamp // self.length_ns - self.visit) * self.length_ns > DAY_NS
+
     def turn_to(self, stamp: int) -> bool:
         """Ends the running visit if `stamp`, ns, lies in a later one; returns whether it did.
 
@@ -57,7 +61,7 @@ class Evidence:
         """
         number = stamp // self.length_ns
         ahead = number - self.visit
-        if self.visit >= 0 and abs(ahead) * self.length_ns > DAY_NS:
+        if self.is_days_off(stamp):
             self._forget()
         elif self.visit >= 0 and ahead <= 0:
             return False
