@@ -13,7 +13,7 @@ from eigenscan.mapbuilder.plan import Plan
 from eigenscan.mapbuilder.regions import Division
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import build_site
-from eigenscan.runtime.recording import read
+from eigenscan.runtime.recording import Record, read
 from eigenscan.schemas.channels import (
     ADVICE,
     HEALTH,
@@ -32,13 +32,14 @@ from eigenscan.schemas.channels import (
     TRANSFORM,
     Channel,
 )
-from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health
-from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses
+from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SEARCH_WHOLE, Hypotheses, Search
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.replay.survey import Survey
 from eigenscan.workbench.simulation.stage import Scenario, Timed
 from eigenscan.workbench.simulation.world import office
 from rerun.chunk import RrdReader
@@ -283,6 +284,20 @@ def test_recorded_settings_are_used_and_defaults_are_published(
     ended = eigenscan("replay", run.write(tmp_path / "untold.mcap", other), *command)
     assert ended.code == 1
     assert "default settings, for the recording does not have them" in ended.out
+
+
+@pytest.mark.parametrize(
+    ("searches", "noted"), [((SEARCH_LOCAL, SEARCH_WHOLE), True), ((SEARCH_WHOLE,), False)]
+)
+def test_a_first_list_of_a_local_fit_shows_that_the_projector_ran_before(
+    searches: tuple[Search, ...], noted: bool
+) -> None:
+    found = Survey(Path("a.mcap"), True, {})
+    address = {"site": "s", "robot": "r", "lidar": "l", "projector": "0"}
+    for number, search in enumerate(searches, 1):
+        message = Hypotheses(timestamp=stamp(number), search=search)
+        found.take(Record(Envelope(HYPOTHESES, address, message), number, number, 1))
+    assert ("projector" in found.remembered) == noted
 
 
 def test_what_a_recording_cannot_show_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from eigenscan.runtime.recording import Record, is_complete, read, read_metadata
 from eigenscan.schemas.channels import HEALTH, HYPOTHESES, SCAN, TRACKS, Channel
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import Tracks
 from eigenscan.workbench.replay.services import PARTS, published_by
@@ -101,6 +102,8 @@ class Survey:
             return
         if envelope.channel is SCAN and (sequence := envelope.open(Scan).sequence):
             self.remembered["scan-ingest"] = f"its first scan here is its number {sequence}"
+        if envelope.channel is HYPOTHESES and envelope.open(Hypotheses).search == SEARCH_LOCAL:
+            self.remembered["projector"] = "its first list here is of a local fit"
         if envelope.channel is TRACKS:
             age = max((track.age for track in envelope.open(Tracks).tracks), default=0.0)
             if age > 0:
