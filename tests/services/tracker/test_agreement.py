@@ -96,6 +96,19 @@ def test_what_agrees_is_claimed_and_stays_healthy(
     assert core.condition().status == Health.STATUS_OK
 
 
+def test_odometry_that_is_made_of_scans_proves_no_mount(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    levels = dict[bool, bool]()
+    for by_scans in (False, True):
+        core = make_core(odometry_by_scans=by_scans)
+        output = drive(core, speaker, poses_of, weaving, weaving, count=120, stands=6, step=weaving)
+        assert output[-1].state == STATE_LOCALIZED
+        assert (max(pose.confidence for pose in output) > 0.9 + 1e-9) == (not by_scans)
+        levels[by_scans] = any(pose.HasField("protection_radius") for pose in output)
+    assert levels == {False: True, True: False}
+
+
 @pytest.mark.parametrize("period_s", [0.02, 0.04, 0.1])
 def test_without_odometry_scan_motion_is_held_against_nothing(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, period_s: float

@@ -10,7 +10,7 @@ from math import exp
 import numpy as np
 from eigenscan.geometry.circle import TURN
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, State, Track
-from eigenscan.tracker.agreement import Agreement, ScanInterval
+from eigenscan.tracker.agreement import UNSEEN, Agreement, ScanInterval
 from eigenscan.tracker.belief import Belief, happened
 from eigenscan.tracker.branching import follow
 from eigenscan.tracker.claim import Claim
@@ -520,12 +520,14 @@ class RobotTracker:
             return verdict
         share = self._rivals.share(int(tracks.frame[verdict.track]))
         confidence = min(verdict.confidence, share) * self._trust
-        return Verdict(verdict.track, confidence, self._agreement.proven)
+        proven = UNSEEN.proven if self._settings.odometry_by_scans else self._agreement.proven
+        return Verdict(verdict.track, confidence, proven)
 
     def _protection(self, verdict: Verdict) -> Protection | None:
         if self.state != STATE_LOCALIZED or self._trust < self._settings.localized_above:
             return None
-        if self._rivals.since is not None:  # mass that another frame may still get is risk
+        # mass that another frame may still get is risk
+        if self._settings.odometry_by_scans or self._rivals.since is not None:
             return None
         # a set-up that may be wrong is risk as well
         left = self._settings.protection_risk - (1.0 - self._agreement.right)

@@ -37,6 +37,11 @@ class TrackerSettings(BaseModel):
     odometry_veer: float = Field(
         0.05, ge=0, le=1000, description="rad per sqrt(m), random heading error of odometry while driving"
     )
+    odometry_by_scans: bool = Field(
+        False,
+        description="odometry is made of the same scans, so it proves no mount: a claim then has a "
+        "confidence of 0.9 at most, and no protection level",
+    )
     patience: float = Field(
         0.2, ge=0, le=3600, description="s, by stamps, that hypotheses wait for odometry of the same time"
     )
