@@ -94,7 +94,7 @@ def test_a_terminal_of_80_columns_shows_every_word() -> None:
     for words in ("r1", "was localized", "0.97", "-17.3, 42.0", "2 min", "2c0ffee1 old"):
         assert words in lines[0]
     wrong = " ".join(line[heading.index("health") :].strip() for line in lines)
-    assert wrong == "no scan-ingest, no projector, tracker unspecified, 3 drops, clock -7 s"
+    assert wrong == "no scan-ingest, no projector, tracker unknown, 3 drops, clock -7 s"
 
 
 def test_a_robot_of_the_fleet_that_is_not_there_has_its_row() -> None:
