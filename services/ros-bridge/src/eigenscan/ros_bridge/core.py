@@ -63,8 +63,8 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from google.protobuf.wrappers_pb2 import BytesValue
 
-GATHERING = ""
-"""Stands for the topics of all scans that are gathered."""
+ALL = ""
+"""Stands for the topics of all scans."""
 
 Receiver = Callable[[bytes], Iterable[Envelope]]
 Answerer = Callable[[bytes], tuple[bytes, Iterable[Envelope]]]
@@ -103,9 +103,7 @@ class RosBridgeCore:
         self._gathering = Gathering(settings.gather) if settings.gather else None
         self._estimate: PoseEstimate | None = None  # since the tracker's last health
         sources = (*self._ends.scans, *self._ends.clouds)
-        self._silent = [source.name for source in sources]
-        """Topics without a scan yet."""
-        self._lacks: dict[str, str] = {}
+        self._lacks = {ALL: "no scan yet on " + ", ".join(source.name for source in sources)}
         """By topic, why its last scan was set aside."""
         self._received, self._stamping = 0, Stamping()
         self._receivers = dict(self._make_receivers())
@@ -139,8 +137,7 @@ class RosBridgeCore:
 
     def condition(self) -> Condition:
         """WAITING until scans arrive, with the missing parts, and while a lifecycle manager pauses it."""
-        silent = ["no scan yet on " + ", ".join(self._silent)] if self._silent else []
-        lacks = "; ".join([*silent, *self._lacks.values()])
+        lacks = "; ".join(self._lacks.values())
         if not self._lifecycle.active:
             lacks = f"publishes no pose: a lifecycle manager has it {self._lifecycle.state}"
         status = Health.STATUS_WAITING if lacks else Health.STATUS_OK
@@ -180,16 +177,16 @@ class RosBridgeCore:
     def _scan_receiver(self, endpoint: Endpoint, lidar: str, take: Callable[[Any], RawScan]) -> Receiver:
         def receive(data: bytes) -> Iterator[Envelope]:
             body = cdr.decode(endpoint.kind, data)
-            if endpoint.name in self._silent:
-                self._silent.remove(endpoint.name)
             try:
                 message = take(body)
             except (MountError, CloudError) as error:
                 self._counts[f"set_aside_{error.reason}"] += 1
+                self._lacks.pop(ALL, None)
                 self._lacks[endpoint.name] = f"{endpoint.name}: {error}"
                 return
             self._lacks.pop(endpoint.name, None)
             if self._gathering is None:
+                self._lacks.pop(ALL, None)
                 yield Envelope(SCAN_RAW, {**self._address, "lidar": lidar}, message)
             else:
                 yield from self._gathered(self._gathering, message)
@@ -199,9 +196,9 @@ class RosBridgeCore:
     def _gathered(self, gathering: Gathering, message: RawScan) -> Iterator[Envelope]:
         if not gathering.knows(message):
             self._counts["set_aside_no_odometry"] += 1
-            self._lacks[GATHERING] = "no odometry of the scans' time yet, to gather them by"
+            self._lacks[ALL] = "no odometry of the scans' time yet, to gather them by"
             return
-        self._lacks.pop(GATHERING, None)
+        self._lacks.pop(ALL, None)
         try:
             gathered = gathering.gather(message)
         except ScanError as error:
