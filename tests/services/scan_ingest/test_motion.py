@@ -294,6 +294,20 @@ def test_scans_of_some_time_ago_that_come_again_are_repeats() -> None:
     assert lidar.fault.startswith("lidar r/front frozen: 20 or more scans repeat earlier ones")
 
 
+@pytest.mark.parametrize("pause_s", [-100.0, 1.5])
+def test_a_recording_that_is_played_again_is_no_frozen_lidar(pause_s: float) -> None:
+    lidar, rng = Lidar(), np.random.default_rng(1)
+    lidar.time = 10**12
+    drive = [seen((0.02 * k, 0.5, 0.01 * k), rng) for k in range(30)]
+    for scan in drive:
+        lidar.publish(scan)
+    lidar.time += round(pause_s * 1e9)
+    for scan in drive:
+        for published in lidar.publish(scan):
+            assert published.channel is SCAN or not published.open(ScanMotion).repeats
+    assert "frozen" not in lidar.fault
+
+
 def test_scans_with_few_returns_may_be_alike_by_chance() -> None:
     lidar, empty = Lidar(), np.full(BEAMS, np.inf)
     for k in range(60):

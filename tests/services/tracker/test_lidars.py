@@ -52,8 +52,8 @@ def test_a_faulty_lidar_holds_claims_back_while_it_pauses(
 
 def test_what_is_wrong_with_a_lidar_holds_again_once_it_is_back() -> None:
     known = Lidars(list[str])
-    known.see("front", 0)
-    known.see("rear", 0).append("frozen")
+    known.of("front")
+    known.of("rear").append("frozen")
     for known.now in (5 * 10**9, 20 * 10**9):
         known.see("front", known.now)
         assert [name for name, _ in known.present()] == (
@@ -63,11 +63,21 @@ def test_what_is_wrong_with_a_lidar_holds_again_once_it_is_back() -> None:
     assert [*known.present()] == [("front", []), ("rear", ["frozen"])]
 
 
+def test_scans_alone_show_nothing_of_a_lidar() -> None:
+    """A lidar that has shown no motion yet makes nobody doubt one that has."""
+    known = Lidars(list[str])
+    known.of("front")
+    known.see("rear", 0)
+    assert [name for name, _ in known.present()] == ["front"]
+
+
 def test_invented_names_leave_no_more_than_a_robot_has_lidars() -> None:
     known = Lidars(list[int])
     for number in range(1000):
-        known.see("front", number).append(number)
-        known.see(f"invented {number}", number)
+        known.now = number
+        known.see("front", number)
+        known.of("front").append(number)
+        known.of(f"invented {number}")
     assert len([*known.all()]) == MOST
     assert known.get("front") == [*range(1000)]
     assert known.get("invented 0") is None

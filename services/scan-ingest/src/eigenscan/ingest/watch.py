@@ -42,6 +42,8 @@ LONGEST_NS = 5_000_000_000
 """Scans farther apart than this may have nothing in common."""
 REMEMBERED = 1024
 """Scans that a later one may repeat: 100 s of a lidar of 10 Hz. Noise changes some beam of any other."""
+PAUSE_NS = 1_000_000_000
+"""Time between two scans from which on the lidar paused, or another drive began."""
 FROZEN = 20
 """Identical scans in a row that are named in health: even a quiet lidar's noise changes some beam."""
 ONE_VALUE_M = 0.1
@@ -97,6 +99,8 @@ class Watch:
         None if it is too early; no motion if the scan repeats one of before.
         """
         last, self._last = self._last, ranges
+        if not 0 < stamp - self._newest <= PAUSE_NS:  # a recording may be played again
+            self._digests.clear()
         if self._is_known(ranges):
             self.repeats += 1
             since, self._newest = self._newest, stamp

@@ -197,9 +197,10 @@ class Agreement:
             self._waiting.remove(interval)
             if not interval.since < interval.stamp:
                 continue
-            lidar = self._lidars.see(interval.lidar, interval.stamp)
+            self._lidars.see(interval.lidar, interval.stamp)
             driven = trail.between(interval.since, interval.stamp)
             if _is_far(driven, interval):
+                lidar = self._lidars.of(interval.lidar)
                 _note(lidar, interval, agrees=False)
                 if interval.moved is not None and driven.breaks <= 0:
                     lidar.faults.take_far(interval.moved, driven)
@@ -210,6 +211,7 @@ class Agreement:
             coarse = max(map(trail.spacing, ends)) > COARSE_NS
             known = abs(driven.unknown) <= min(UNKNOWN_S, driven.seconds / 2.0)
             if driven.breaks <= 0 and known and not coarse:
+                lidar = self._lidars.of(interval.lidar)
                 self._take(lidar, _widened(interval, map(trail.leeway, ends)), driven, trail)
                 _note(lidar, interval, agrees=not self.disagreed)
         return found

@@ -28,20 +28,20 @@ class Lidars(Generic[V]):
         self.now = 0
         """ns; from when on a lidar is gone counts from here."""
 
-    def see(self, lidar: str, stamp: int) -> V:
-        """What is known of a lidar that sent a scan of this stamp, ns."""
-        self._seen.pop(lidar, None)
-        self._seen[lidar] = stamp
+    def see(self, lidar: str, stamp: int) -> None:
+        """A scan of this stamp, ns, came from a lidar; nothing is known of it by that."""
+        if lidar in self._known:
+            del self._seen[lidar]
+            self._seen[lidar] = stamp
+
+    def of(self, lidar: str) -> V:
+        """What is known of a lidar that sends scans now."""
         if lidar not in self._known:
             if len(self._known) == MOST:
                 longest = next(iter(self._seen))
                 del self._known[longest], self._seen[longest]
-            self._known[lidar] = self._make()
+            self._known[lidar], self._seen[lidar] = self._make(), self.now
         return self._known[lidar]
-
-    def of(self, lidar: str) -> V:
-        """What is known of a lidar; it sends scans now."""
-        return self.see(lidar, self._seen.get(lidar, self.now))
 
     def get(self, lidar: str) -> V | None:
         """What is known of a lidar; None: nothing."""
