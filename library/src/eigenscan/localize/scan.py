@@ -13,7 +13,7 @@ from eigenscan.geometry.pose import to_message
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, SCAN_RAW
-from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
+from eigenscan.schemas.envelope import LATEST_S, Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,10 +21,6 @@ _SET_ASIDE = "set_aside_"
 _UNITS = {
     "angle_min": "rad", "angle_increment": "rad", "range_max": "m", "range_min": "m", "time": "finite, s",
 }  # fmt: skip
-
-
-LATEST_S = 4_000_000_000
-"""Times before and after the epoch, s, at most."""
 
 
 class ScanError(ValueError):

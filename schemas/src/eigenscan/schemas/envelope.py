@@ -86,6 +86,8 @@ def stamp(nanoseconds: int) -> Timestamp:
     return Timestamp(seconds=nanoseconds // 1_000_000_000, nanos=nanoseconds % 1_000_000_000)
 
 
+LATEST_S = 4_000_000_000
+"""Times that a file or a program states, before and after the epoch, s, at most: the year 2096."""
 LATEST_NS = 2**62
 """Largest time before or after the epoch, ns: the year 2116. The sum of two fits into 64 bits."""
 

@@ -177,16 +177,15 @@ class RosBridgeCore:
     def _scan_receiver(self, endpoint: Endpoint, lidar: str, take: Callable[[Any], RawScan]) -> Receiver:
         def receive(data: bytes) -> Iterator[Envelope]:
             body = cdr.decode(endpoint.kind, data)
+            self._lacks.pop(ALL, None)
             try:
                 message = take(body)
             except (MountError, CloudError) as error:
                 self._counts[f"set_aside_{error.reason}"] += 1
-                self._lacks.pop(ALL, None)
                 self._lacks[endpoint.name] = f"{endpoint.name}: {error}"
                 return
             self._lacks.pop(endpoint.name, None)
             if self._gathering is None:
-                self._lacks.pop(ALL, None)
                 yield Envelope(SCAN_RAW, {**self._address, "lidar": lidar}, message)
             else:
                 yield from self._gathered(self._gathering, message)
@@ -198,7 +197,6 @@ class RosBridgeCore:
             self._counts["set_aside_no_odometry"] += 1
             self._lacks[ALL] = "no odometry of the scans' time yet, to gather them by"
             return
-        self._lacks.pop(ALL, None)
         try:
             gathered = gathering.gather(message)
         except ScanError as error:

@@ -45,7 +45,7 @@ REMEMBERED = 1024
 PAUSE_NS = 1_000_000_000
 """Time between two scans from which on the lidar paused, or another drive began."""
 FROZEN = 20
-"""Identical scans in a row that are named in health: even a quiet lidar's noise changes some beam."""
+"""Repeated scans in a row that are named in health: even a quiet lidar's noise changes some beam."""
 ONE_VALUE_M = 0.1
 """Spread of the middle nine tenths of the ranges, m, below which all beams have one value: only a cover does,
 or a round room with the robot at its centre."""
@@ -142,10 +142,8 @@ class Watch:
         before, self._digest = self._digest, blake2b(ranges.tobytes(), digest_size=8).digest()
         if self._digest == before:
             return True
-        if self._digest in self._digests:
-            return bool(
-                np.count_nonzero(np.isfinite(ranges)) >= LEAST_BEAMS
-            )  # few returns are alike by chance
+        if self._digest in self._digests:  # few returns are alike by chance
+            return bool(np.isfinite(ranges).sum() >= LEAST_BEAMS)
         self._digests[self._digest] = None
         if len(self._digests) > REMEMBERED:
             del self._digests[next(iter(self._digests))]

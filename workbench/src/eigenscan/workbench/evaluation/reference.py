@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from eigenscan.geometry.circle import difference, wrap
 from eigenscan.geometry.gridmap import FARTHEST_M
+from eigenscan.schemas.envelope import LATEST_S
 from numpy.typing import ArrayLike, NDArray
 
 NS = 1_000_000_000
@@ -81,10 +82,6 @@ class Trajectory:
                 way.append(way[-1] + step)
                 x, y = px, py
         return self.stamps[kept], np.asarray(way)
-
-
-LATEST_S = 4_000_000_000
-"""Stamps before and after the epoch, s, at most: the year 2096."""
 
 
 def nanoseconds_of(text: str) -> int:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.envelope import LATEST_S, Envelope
 from eigenscan.workbench.logs.log import (
     RECORDER_LAG_NS,
     LogError,
@@ -154,10 +154,6 @@ class _Line:
     def _bad(self, name: str, text: str) -> LogError:
         what = f"{text!r} is no number that can be used" if text else "is empty"
         return LogError(f"{self.columns.path}: line {self.number}, column {name}: {what}")
-
-
-LATEST_S = 4_000_000_000
-"""Stamps before and after the epoch, s, at most: the year 2096."""
 
 
 @dataclass

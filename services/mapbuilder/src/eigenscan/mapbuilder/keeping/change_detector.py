@@ -73,11 +73,12 @@ class ChangeDetector:
         return apart if self._odd else ""
 
     def _count(self, view: View, robot: str) -> bool:
-        if self.evidence.is_days_off(view.stamp) and self._set_aside < IN_A_ROW:
+        days_off = self.evidence.is_days_off(view.stamp)
+        if days_off and self._set_aside < IN_A_ROW:
             self._set_aside, self._whose = self._set_aside + 1, robot
             self.counts["looks_of_another_day"] += 1
             return False
-        if self._set_aside and not self.evidence.is_days_off(view.stamp):  # others' time goes on meanwhile
+        if self._set_aside and not days_off:  # others' time goes on meanwhile
             self._odd = self._whose
         self._set_aside = 0
         if robot == self._odd:
