@@ -11,7 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from eigenscan.eigenspace.folder import read_models, write_models
+from eigenscan.geometry.gridmap import read_map
+from eigenscan.mapbuilder.plan import Plan
 from eigenscan.mapbuilder.settings import MapbuilderSettings
+from eigenscan.mapbuilder.site import build_site
 from eigenscan.runtime.choices import Choices
 from eigenscan.runtime.recording import RecordingWriter, read
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
@@ -85,7 +89,7 @@ class Drive:
             jobs=1,
             poses=None,
             options=LogOptions(),
-            settings=PipelineSettings(mapbuilder=MapbuilderSettings(spacing=0.5)),
+            settings=PipelineSettings(),
         )
 
 
@@ -165,8 +169,23 @@ def test_settings_change_what_is_judged(drive: Drive) -> None:
     assert reported["default"]["success_rate"] == 1.0
     assert reported["unsure"]["success_rate"] == 0.0
     assert reported["one"]["single_scan"]["list_length"] == 1.0
-    assert reported["coarse"]["model"]["positions"] < reported["default"]["model"]["positions"] / 8
+    assert reported["coarse"]["model"]["positions"] < reported["default"]["model"]["positions"] / 3
     assert reported["blind"]["success_rate"] == 0.0
+
+
+def test_what_is_judged_is_what_the_mapbuilder_publishes(drive: Drive, tmp_path: Path) -> None:
+    """For a map by its defaults; for a model folder what is in it, unless settings are chosen."""
+    assert chosen(Choices()).mapbuilder == MapbuilderSettings()
+    folder = tmp_path / "model"
+    write_models(build_site(read_map(drive.map), Plan(spacing=1.0)), folder)
+    task = replace(drive.task, map=folder, skip=frozenset({"windows", "single-scans", "memory"}))
+    held = read_models(folder)
+    model = run(task)["model"]
+    assert (model["version"], model["spacing_m"], model["build_s"]) == (held.to_message().version, 1.0, None)
+    again = run(replace(task, settings=chosen(Choices(), spacing=0.6)))["model"]
+    assert again["version"] != model["version"]
+    assert again["spacing_m"] == pytest.approx(0.6)
+    assert again["build_s"] > 0.0
 
 
 def test_the_papers_method_runs_on_a_log(drive: Drive) -> None:
@@ -194,8 +213,6 @@ def test_the_json_has_every_figure(drive: Drive, tmp_path: Path) -> None:
                 "--kidnap",
                 "--limit",
                 "4",
-                "--spacing",
-                "0.5",
                 "--json",
                 tmp_path / "o.json",
             ),

@@ -69,7 +69,7 @@ def evaluate(
         typer.Option(
             min=0.05,
             max=2.0,
-            help="grid of positions, m; 0.25, or the method's",
+            help="grid of positions, m; default: as eigenscan build, or the model folder's",
             rich_help_panel="Details",
         ),
     ] = None,

@@ -16,8 +16,6 @@ from eigenscan.tracker.settings import TrackerSettings
 
 SERVICES = ("scan-ingest", "projector", "tracker", "mapbuilder")
 """Services whose settings an evaluation takes."""
-SPACING = 0.25
-"""Default distance between positions, m."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,7 @@ class PipelineSettings:
     ingest: ScanIngestSettings = field(default_factory=ScanIngestSettings)
     projector: ProjectorSettings = field(default_factory=ProjectorSettings)
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
-    mapbuilder: MapbuilderSettings = field(default_factory=lambda: MapbuilderSettings(spacing=SPACING))
+    mapbuilder: MapbuilderSettings = field(default_factory=MapbuilderSettings)
 
 
 def chosen(choices: Choices, spacing: float | None = None) -> PipelineSettings:
@@ -36,8 +34,8 @@ def chosen(choices: Choices, spacing: float | None = None) -> PipelineSettings:
     Raises SettingsError that names the option or file, the field and the fix.
     """
     mapbuilder = choices.core(MapbuilderOptions, MapbuilderSettings, "mapbuilder")
-    if spacing is not None or "spacing" not in mapbuilder.model_fields_set:
-        mapbuilder = mapbuilder.model_copy(update={"spacing": spacing or SPACING})
+    if spacing is not None:
+        mapbuilder = mapbuilder.model_copy(update={"spacing": spacing})
     return PipelineSettings(
         choices.core(ScanIngestOptions, ScanIngestSettings, "scan-ingest"),
         choices.core(ProjectorOptions, ProjectorSettings, "projector"),

@@ -1,4 +1,4 @@
-"""Builds a map's models as the mapbuilder does, and measures the cost."""
+"""The models that the mapbuilder would publish for a map, and what they cost."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from eigenscan.eigenspace.embedding import CAPS
-from eigenscan.eigenspace.folder import MAP, SiteModel
+from eigenscan.eigenspace.folder import MAP, SiteModel, read_models
 from eigenscan.geometry.gridmap import read_map
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.settings import MapbuilderSettings
@@ -36,23 +36,27 @@ class Built:
 
 
 def build(path: Path, settings: MapbuilderSettings, moved: Callable[[float], None]) -> Built:
-    """Builds the models of a map_server yaml, or builds those of a model folder again.
+    """Builds the models of a map_server yaml. A model folder has them; chosen settings build it again.
 
     `moved` is called with the progress. Raises MapError or ModelError.
     """
-    plan = replace(settings.plan, threads=os.cpu_count() or 1)
-    grid = read_map(path / MAP if path.is_dir() else path)
+    is_built = path.is_dir() and not settings.model_fields_set
     before = time.perf_counter()
-    site = build_site(grid, plan, lambda _, share: moved(share))
+    if is_built:
+        site = read_models(path)
+    else:
+        plan = replace(settings.plan, threads=os.cpu_count() or 1)
+        grid = read_map(path / MAP if path.is_dir() else path)
+        site = build_site(grid, plan, lambda _, share: moved(share))
     took = time.perf_counter() - before
     moved(1.0)
     models = list(MapbuilderCore(settings, site).start())
     figures = {
-        "build_s": took,
+        "build_s": None if is_built else took,
         "wire_mb": sum(envelope.message.ByteSize() for envelope in models if envelope.channel == MODEL) / 1e6,
         "regions": len(site.regions),
         "positions": sum(len(model.index) for model in site.regions),
-        "spacing_m": settings.spacing,
+        "spacing_m": site.regions[0].spacing,
         "version": site.to_message().version,
     }
     return Built(site, models, figures)

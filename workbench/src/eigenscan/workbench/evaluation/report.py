@@ -165,7 +165,9 @@ def _lines(f: Figures) -> list[tuple[str, str]]:
 
 def _model(model: Figures) -> str:
     memory = "" if model["memory_mb"] is None else f", {_number(model['memory_mb'])} MB in memory"
-    return f"built in {_number(model['build_s'])} s, {_number(model['wire_mb'])} MB on the wire{memory}"
+    built = "as in the folder" if model["build_s"] is None else f"built in {_number(model['build_s'])} s"
+    apart = f"positions {_number(model['spacing_m'])} m apart"
+    return f"{built}, {apart}, {_number(model['wire_mb'])} MB on the wire{memory}"
 
 
 def _explains(found: Figures) -> str:
