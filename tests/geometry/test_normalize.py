@@ -8,6 +8,7 @@ from eigenscan.geometry.normalize import (
     Sweep,
     limit,
     orient,
+    own_beams,
     resample,
 )
 from hypothesis import assume, given
@@ -86,6 +87,41 @@ def test_limits_distinguish_missing_from_no_return() -> None:
 def test_without_a_stated_maximum_only_infinity_is_no_return() -> None:
     got = limit(np.array([0.0, 500.0, INF, NAN], dtype=np.float32), 0.0, 0.0)
     np.testing.assert_array_equal(got, np.array([NAN, 500.0, INF, NAN], dtype=np.float32))
+
+
+@given(
+    ranges=st.lists(st.floats(0.5, 10.0, width=32), min_size=40, max_size=80),
+    lost=st.sets(st.integers(0, 39), max_size=6),
+    apart=st.integers(2, 4),
+    first=st.integers(0, 3),
+    empty=st.sampled_from([NAN, INF]),
+)
+def test_beams_between_those_that_measure_are_left_out(
+    ranges: list[float], lost: set[int], apart: int, first: int, empty: float
+) -> None:
+    """Some drivers write a finer grid than the lidar has."""
+    own = np.array(
+        [NAN if number in lost else reach for number, reach in enumerate(ranges)], dtype=np.float32
+    )
+    spread = np.full(len(own) * apart, empty, dtype=np.float32)
+    spread[first % apart :: apart] = own
+    got = own_beams(sweep(spread, -1.0, 0.01))
+    known = np.isfinite(own)
+    np.testing.assert_array_equal(got.ranges[np.isfinite(got.ranges)], own[known])
+    directions = -1.0 + 0.01 * (np.flatnonzero(known) * apart + first % apart)
+    found = got.angle_min + got.angle_increment * np.flatnonzero(np.isfinite(got.ranges))
+    np.testing.assert_allclose(found, directions, atol=1e-9)
+    assert len(got.ranges) == len(own)
+
+
+@pytest.mark.parametrize("empty", [[], [4, 5, 30], list(range(0, 61)), list(range(1, 90, 2))])
+def test_a_scan_with_two_neighbours_or_few_ranges_stays_as_it_is(empty: list[int]) -> None:
+    ranges = np.full(90, 2.0)
+    ranges[empty] = NAN
+    if len(empty) > 40:
+        ranges[::3] = NAN  # of each second beam fewer than 32 are left
+    given_ = sweep(ranges, 0.0, 0.01)
+    assert own_beams(given_) is given_
 
 
 def in_a_room(x: float, y: float, angles: np.ndarray) -> NDArray[np.float64]:

@@ -63,6 +63,22 @@ def aside(ingest: ScanIngestCore) -> dict[str, int]:
     }
 
 
+def test_a_grid_finer_than_the_lidar_is_the_lidars_own() -> None:
+    """Each second beam of 600 is empty: the scan is the one of 300 beams, and so is its deskewing's time."""
+    ingest, plain = core(), core()
+    for number in range(1, 4):
+        own = raw(number * SECOND)
+        for empty in (math.nan, 0.0, math.inf):
+            fine = [value for reach in own.ranges for value in (empty, reach)]
+            message = raw(number * SECOND, ranges=fine, angle_increment=0.005, angle_min=-1.505)
+            published = one(ingest if math.isnan(empty) else core(), message)
+            assert list(published.ranges) == list(own.ranges)
+            assert published.angle_min == pytest.approx(-1.5)
+            assert published.angle_increment == pytest.approx(0.01)
+        one(plain, own)
+    assert ingest.condition().status == plain.condition().status == Health.STATUS_OK
+
+
 def test_a_scan_passes_with_its_limits_mount_and_number() -> None:
     ingest = core(base_frame="base_footprint")
     mount = Pose2(x=0.2, y=-0.1, theta=0.5)

@@ -76,6 +76,15 @@ def test_odometry_that_ends_while_poses_come(make_core: MakeCore, speaker: Speak
     assert degraded(core) == ""
 
 
+def test_scans_of_a_clock_ahead_are_not_odometry_that_ended(make_core: MakeCore, speaker: Speaker) -> None:
+    """Poses come without waiting, for the scans' stamps are 100 s ahead: odometry comes all the same."""
+    core = make_core(patience=0.2)
+    for time in np.arange(0.0, 4.0, RATE_S):
+        list(core.handle(speaker.odometry(float(time), HERE)))
+        list(core.handle(speaker.hypotheses(float(time) + 100.0, [HERE], [20.0])))
+    assert degraded(core) == "r: odometry stamps are 100.0 s behind the scans: do their clocks differ?"
+
+
 def test_a_lidar_without_odometry_is_reported_and_no_fault(make_core: MakeCore, speaker: Speaker) -> None:
     core = make_core()
     assert published_poses(core, lists(speaker, 3.0))

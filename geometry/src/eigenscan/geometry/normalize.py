@@ -21,6 +21,9 @@ FARTHEST = 1e5  # m; a larger range or limit counts as none
 
 FARTHEST_MOUNT = 100.0  # m of a lidar from its robot's base, at most: no robot is as large
 
+LEAST_APART = 32
+"""Beams with a range from which on their spacing is no chance: one in 2^31 that all are even or all odd."""
+
 NO_RETURN_SHARE = 0.999
 """Share of the stated maximum from which a range is no return: drivers round their marker for it."""
 
@@ -94,6 +97,26 @@ def limit(ranges: Ranges, range_min: float, range_max: float) -> Ranges:
         limited[limited >= np.float32(NO_RETURN_SHARE * range_max if range_max > 0.0 else FARTHEST)] = np.inf
     limited[missing] = np.nan
     return limited
+
+
+def own_beams(sweep: Sweep) -> Sweep:
+    """The sweep on the lidar's own grid, where its driver writes a finer one and leaves beams empty between.
+
+    Empty beams are missing, or without a return.
+    """
+    known = np.isfinite(sweep.ranges)
+    if (known[1:] & known[:-1]).any():  # so it nearly always is
+        return sweep
+    at = np.flatnonzero(known)
+    if len(at) < LEAST_APART:
+        return sweep
+    apart = int(np.gcd.reduce(np.diff(at)))
+    first = int(at[0]) % apart
+    return Sweep(
+        sweep.ranges[first::apart].copy(),
+        sweep.angle_min + first * sweep.angle_increment,
+        sweep.angle_increment * apart,
+    )
 
 
 @dataclass(frozen=True)

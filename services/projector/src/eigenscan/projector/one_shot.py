@@ -10,7 +10,7 @@ import numpy as np
 from eigenscan.eigenspace.floors import Floor, floor_of
 from eigenscan.geometry.circle import wrap
 from eigenscan.geometry.message_floats import floats_of
-from eigenscan.geometry.normalize import FARTHEST_MOUNT, ScanError, Sweep, limit, limits, orient
+from eigenscan.geometry.normalize import FARTHEST_MOUNT, ScanError, Sweep, limit, limits, orient, own_beams
 from eigenscan.geometry.pose import compose, covariance_to_message, from_message, to_message
 from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.focus import Reach, Scope
@@ -162,8 +162,8 @@ def canonical(raw: RawScan) -> Scan:
         low, high = limits(raw.range_min, raw.range_max)
         ranges = floats_of(raw, "ranges")
         sweep = orient(Sweep(ranges, raw.angle_min, raw.angle_increment), raw.upside_down)
-        ranges = limit(sweep.ranges, low, high)
-        if np.isnan(ranges).all():
+        sweep = own_beams(Sweep(limit(sweep.ranges, low, high), sweep.angle_min, sweep.angle_increment))
+        if np.isnan(sweep.ranges).all():
             raise ScanError("no_valid_range")
     except ScanError as error:
         raise QueryError(_FIELDS[error.reason]) from None
@@ -174,7 +174,7 @@ def canonical(raw: RawScan) -> Scan:
         angle_increment=sweep.angle_increment,
         range_min=low,
         range_max=high,
-        ranges=ranges.tolist(),
+        ranges=sweep.ranges.tolist(),
     )
 
 

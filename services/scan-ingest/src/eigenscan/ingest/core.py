@@ -19,6 +19,7 @@ from eigenscan.geometry.normalize import (
     limit,
     limits,
     orient,
+    own_beams,
     resample,
 )
 from eigenscan.ingest.deskew import Deskew, Timing
@@ -195,9 +196,10 @@ class ScanIngestCore:
         sweep = Sweep(limit(sweep.ranges, range_min, range_max), sweep.angle_min, sweep.angle_increment)
         if np.isnan(sweep.ranges).all():
             raise ScanError("no_valid_range")
+        step, sweep = sweep.angle_increment, own_beams(sweep)
         # orient has reversed the beams of a lidar that turns clockwise
         increment = -raw.time_increment if (raw.angle_increment < 0.0) != upside_down else raw.time_increment
-        own = Timing(increment, raw.stamped_after)
+        own = Timing(increment * round(sweep.angle_increment / step), raw.stamped_after)
         straight = lidar.deskew.take(sweep, own, (mount.x, mount.y, mount.theta), time)
         if straight is not sweep:
             self._counts["deskewed"] += 1

@@ -67,6 +67,8 @@ class Silence:
         self._timeline = timeline
         self._runs: dict[str, _Run] = {}
         self._odometry: int | None = None
+        self._advanced: int | None = None
+        """Stamp of the newest list when odometry's stamps last increased."""
         self._since_restart = RESTARTS_WITHIN
         self._two_clocks = False
         self._newest: int | None = None
@@ -79,6 +81,8 @@ class Silence:
 
     def receive_odometry(self, stamp: int) -> None:
         """Odometry has come as far as `stamp`, ns."""
+        if self._odometry is None or stamp > self._odometry:
+            self._advanced = self._timeline.newest
         self._odometry = stamp
 
     def receive(self, seen: Observation, outcome: Outcome) -> None:
@@ -156,6 +160,8 @@ class Silence:
         missing = self._gone_on_since(self._odometry)
         if missing <= SILENT_NS:
             return ""
+        if self._gone_on_since(self._advanced) <= SILENT_NS:
+            return f"odometry stamps are {missing * 1e-9:.1f} s behind the scans: do their clocks differ?"
         return f"no odometry of the last {missing * 1e-9:.1f} s: does its driver still run?"
 
     @property
