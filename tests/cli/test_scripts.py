@@ -274,6 +274,38 @@ def test_services_show_events_line_by_line(drive: Path) -> None:
     assert rest[-1]["event"] == "ended"
 
 
+def test_a_program_of_ones_own_stands_in_for_a_service(drive: Path) -> None:
+    """Here the other program is our projector too, started by hand: what matters is that run starts none."""
+    site = f"w{os.getpid()}"
+    assert _run("build", "map.yaml", "-o", "alone", "--step", 2, cwd=drive).returncode == 0
+    flags = ["--site", site, "--no-viewer", "--json", "-", "-o", "without", "--without", "projector"]
+    own = subprocess.Popen(
+        [Path(sys.executable).with_name("eigenscan-projector"), "--site", site, "--robot", "robot"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    with subprocess.Popen(
+        [*EIGENSCAN, "run", "alone", *flags],
+        cwd=drive,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as services:
+        assert services.stdout is not None
+        try:
+            assert json.loads(services.stdout.readline())["event"] == "ready"
+            assert _run("play", "drive.mcap", "--site", site, cwd=drive).returncode == 0
+            assert json.loads(services.stdout.readline())["event"] == "state"
+            logs = {log.stem for log in (drive / "without" / "logs").iterdir()}
+            assert "tracker" in logs
+            assert "projector" not in logs
+        finally:
+            services.send_signal(signal.SIGINT)
+            own.terminate()
+        assert services.wait(30) == 0
+    assert own.wait(10) == 0
+
+
 def test_every_command_that_finds_something_has_json() -> None:
     writes_files_only = {"fleet certify", "fleet configure", "fleet revoke"}
     others = {"fleet", "fleet metrics", *writes_files_only}

@@ -14,6 +14,8 @@ from eigenscan.cli.settings import Changes, Method, SettingsFile
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
+REPLACEABLE = ("scan-ingest", "projector", "tracker", "mapbuilder")
+
 MAP_S = 30.0
 """Longest wait for the robot's own map, s."""
 
@@ -51,6 +53,14 @@ def run(
     ros2_router: Annotated[
         str, typer.Option(help="with --ros2: where the robot's rmw_zenohd or DDS bridge listens")
     ] = "tcp/localhost:7447",
+    without: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SERVICE",
+            help="leave out a service that your own program replaces: docs/conform.md; repeat for more",
+            rich_help_panel="Details",
+        ),
+    ] = None,
     together: Annotated[
         bool,
         typer.Option(
@@ -92,10 +102,14 @@ def run(
       eigenscan run MAP.yaml --robot r17
       eigenscan run MAP.yaml --robot r17 --ros2 rmw_zenoh
       eigenscan run --ros2 rmw_zenoh
+      eigenscan run MAP.yaml --robot r17 --without projector
       eigenscan run MODEL --robot r17 --site hospital --zenoh zenoh.json5 --no-viewer
     """  # noqa: D301 - \b keeps the lines apart in --help
     check_names(robot, site)
-    if map_option is not None or (map_or_model is None and ros2 is None):
+    left_out = without or []
+    if unknown := sorted(set(left_out) - set(REPLACEABLE)):
+        raise UsageError(f"--without {unknown[0]}: choose from {', '.join(REPLACEABLE)}")
+    if map_option is not None or (map_or_model is None and ros2 is None and "mapbuilder" not in left_out):
         map_or_model = positional("MAP, a map_server yaml or a model folder,", map_or_model, map_option)
     _check_listen(listen or [], insecure, zenoh)
     chosen = _flags(method, settings_file, changes or [])
@@ -104,14 +118,14 @@ def run(
 
     folder = out or Path("out") / f"run-{datetime.now():%Y%m%d-%H%M%S}"
     ros2_flags = ["--dialect", ros2, "--ros-router", ros2_router] if ros2 else None
-    if map_or_model is None and ros2_flags:
+    if map_or_model is None and ros2_flags and "mapbuilder" not in left_out:
         map_or_model = _take_map(ros2_flags, folder / "map.yaml")
         ros2_flags += ["--map", ""]  # the robot publishes its own map
-    assert map_or_model is not None
-    (flags, version), mcap = _model_flags(map_or_model, method), folder / "mcap"
+    flags, version = _model_flags(map_or_model, method) if map_or_model else ([], "")
+    mcap = folder / "mcap"
     pipeline = Pipeline(
         site, robot, flags, zenoh, mcap, None, viewer=viewer, ros2_flags=ros2_flags, listen=listen or (),
-        flags=chosen, together=together, foxglove=foxglove, map_version=version,
+        flags=chosen, together=together, foxglove=foxglove, map_version=version, without=left_out,
     )  # fmt: skip
     prepare(json_file)
     with events(json_file) as written:

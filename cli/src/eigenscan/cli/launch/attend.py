@@ -99,7 +99,7 @@ def _running(session: zenoh.Session, site: str) -> list[tuple[str, str]]:
 
 def _refuse_second(running: Sequence[tuple[str, str]], own: str, pipeline: Pipeline) -> None:
     """Two pipelines under one robot's name would publish two poses. Raises UsageError."""
-    names = [name for name, instance in running if instance == own]
+    names = [name for name, instance in running if instance == own and name in pipeline.services]
     if names:
         raise UsageError(
             f"--robot {pipeline.robot}: its {', '.join(names)} already run on site {pipeline.site!r}: "
@@ -110,7 +110,11 @@ def _refuse_second(running: Sequence[tuple[str, str]], own: str, pipeline: Pipel
 def _refuse_other_map(running: Sequence[tuple[str, str]], view: FleetView, pipeline: Pipeline) -> None:
     """A site has one map: another one would replace it under its other robots. Raises UsageError."""
     others = [instance for name, instance in running if name == "mapbuilder"]
-    if not others or not view.until(lambda: bool(view.map_version), ASK_S):
+    if (
+        "mapbuilder" in pipeline.without
+        or not others
+        or not view.until(lambda: bool(view.map_version), ASK_S)
+    ):
         return
     if pipeline.map_version != view.map_version:
         raise UsageError(

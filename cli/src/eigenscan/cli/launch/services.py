@@ -42,6 +42,7 @@ class Pipeline:
     together: bool = False  # all services in one process
     foxglove: bool = False  # serve Foxglove too
     map_version: str = ""  # what the mapbuilder will publish
+    without: Sequence[str] = ()  # services that other programs stand in for
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts all services, the recorder first, so that it receives everything."""
@@ -68,8 +69,9 @@ class Pipeline:
 
     @property
     def services(self) -> list[str]:
-        """Names of the running services."""
-        return [name for name in NODES if name in SERVICES or self.ros2_flags is not None]
+        """Names of the services that it starts."""
+        started = [name for name in NODES if name in SERVICES or self.ros2_flags is not None]
+        return [name for name in started if name not in self.without]
 
 
 def lacking(view: FleetView, services: Iterable[str], instance: str | None = None) -> list[str]:
