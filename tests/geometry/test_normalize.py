@@ -105,7 +105,7 @@ def test_beams_between_those_that_measure_are_left_out(
     )
     spread = np.full(len(own) * apart, empty, dtype=np.float32)
     spread[first % apart :: apart] = own
-    got = own_beams(sweep(spread, -1.0, 0.01))
+    got = own_beams(sweep(spread.astype(np.float64), -1.0, 0.01))
     known = np.isfinite(own)
     np.testing.assert_array_equal(got.ranges[np.isfinite(got.ranges)], own[known])
     directions = -1.0 + 0.01 * (np.flatnonzero(known) * apart + first % apart)
