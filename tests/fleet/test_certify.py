@@ -296,3 +296,23 @@ def test_a_revoked_group_stays_revoked_until_its_owner_wants_a_new_certificate(f
     assert done.exit_code == 0, done.stderr
     assert "group.lab" in router.read_text()
     assert "left out" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("gone", "words"),
+    [
+        ("site/mapbuilder.crt", ("mapbuilder.key: is there already", "put mapbuilder.crt back", "delete it")),
+        ("authority/ca.key", ("ca.key: is not there", "put it back from a copy", "in a new folder")),
+        ("authority/ca.crt", ("ca.crt: is not there", "put it back from a copy")),
+    ],
+)
+def test_half_of_a_pair_of_files_is_named_with_its_fix(
+    folder: Path, gone: str, words: tuple[str, ...]
+) -> None:
+    (folder / gone).unlink()
+    before = content(folder)
+    failed = run("certify", "-o", folder)
+    assert failed.exit_code == 2, failed.stderr
+    for each in words:
+        assert each in failed.stderr
+    assert content(folder) == before
