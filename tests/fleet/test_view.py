@@ -1,8 +1,11 @@
 """Poses that no tracker publishes: they ended `run --json` and `fleet status --json` as a fault of ours."""
 
 import json
+import subprocess
 from collections import deque
+from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 from eigenscan.cli.fleet.status import rows
@@ -12,6 +15,9 @@ from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode, encoding
+
+from tests.environment import PROGRAMS
+from tests.network import free_port
 
 NAN, INF = float("nan"), float("inf")
 
@@ -59,3 +65,27 @@ def test_what_is_no_pose_is_not_shown(fields: dict[str, float]) -> None:
     assert _received(view, **fields) == []
     assert view.robots["r1"].pose.pose.x == 1.0
     json.dumps(rows(view), allow_nan=False)
+
+
+def test_the_exporter_shows_a_robot_that_is_not_there(tmp_path: Path) -> None:
+    """One that was off when the exporter started was in no metric, so no alert could be on it."""
+    config = tmp_path / "operator.json5"
+    config.write_text(
+        json.dumps(
+            {
+                "mode": "peer",
+                "listen": {"endpoints": [f"tcp/127.0.0.1:{free_port()}"]},
+                "scouting": {"multicast": {"enabled": False}},
+                "metadata": {"robots": ["r17"]},
+            }
+        )
+    )
+    where = ["--site", "s", "--zenoh", str(config), "--port", "0"]
+    command = [str(PROGRAMS / "eigenscan"), "fleet", "metrics", *where]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as exporter:
+        assert exporter.stdout is not None
+        with urlopen(exporter.stdout.readline().strip(), timeout=60.0) as page:
+            served = page.read().decode()
+        exporter.terminate()
+        assert exporter.wait(60.0) == 0
+    assert 'eigenscan_robot_state{robot="r17"} 0.0' in served
