@@ -140,6 +140,7 @@ def test_no_fleet_and_nothing_left(tmp_path: Path, arguments: tuple[str, ...], p
     ("text", "parts"),
     [
         ("[air]\nscans = 1.0", ("air.scans", "scan_raw")),
+        ("[air]\nscan = true", ("air.scan = True", "valid number")),
         ("[air]\nscan = -1", ("air.scan", "greater than or equal")),
         ("[air]\nmodel = 1.0", ("air.model", "robots")),
         ("[robots.r99]\nscan = 1.0", ("robots.r99", "r17")),

@@ -107,7 +107,7 @@ def _host(name: str) -> str:
     return name
 
 
-Hertz = Annotated[float, Field(ge=0.0)]
+Hertz = Annotated[float, Field(ge=0.0, strict=True)]  # strict: true is no number
 Rates = dict[Annotated[str, AfterValidator(_channel)], Hertz]
 RobotName = Annotated[str, AfterValidator(_robot)]
 GroupName = Annotated[str, AfterValidator(_robot), AfterValidator(_chunk)]
