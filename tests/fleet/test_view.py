@@ -17,6 +17,7 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode, encoding
 
 from tests.environment import PROGRAMS
+from tests.fleet.conftest import run
 from tests.network import free_port
 
 NAN, INF = float("nan"), float("inf")
@@ -67,20 +68,18 @@ def test_what_is_no_pose_is_not_shown(fields: dict[str, float]) -> None:
     json.dumps(rows(view), allow_nan=False)
 
 
-def test_the_exporter_shows_a_robot_that_is_not_there(tmp_path: Path) -> None:
+@pytest.fixture
+def operator(tmp_path: Path) -> Path:
+    """The configuration of an operator of a robot r17, where nobody else is."""
+    path = tmp_path / "operator.json5"
+    alone = {"listen": {"endpoints": [f"tcp/127.0.0.1:{free_port()}"]}, "metadata": {"robots": ["r17"]}}
+    path.write_text(json.dumps({"mode": "peer", "scouting": {"multicast": {"enabled": False}}} | alone))
+    return path
+
+
+def test_the_exporter_shows_a_robot_that_is_not_there(operator: Path) -> None:
     """One that was off when the exporter started was in no metric, so no alert could be on it."""
-    config = tmp_path / "operator.json5"
-    config.write_text(
-        json.dumps(
-            {
-                "mode": "peer",
-                "listen": {"endpoints": [f"tcp/127.0.0.1:{free_port()}"]},
-                "scouting": {"multicast": {"enabled": False}},
-                "metadata": {"robots": ["r17"]},
-            }
-        )
-    )
-    where = ["--site", "s", "--zenoh", str(config), "--port", "0"]
+    where = ["--site", "s", "--zenoh", str(operator), "--port", "0"]
     command = [str(PROGRAMS / "eigenscan"), "fleet", "metrics", *where]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as exporter:
         assert exporter.stdout is not None
@@ -89,3 +88,15 @@ def test_the_exporter_shows_a_robot_that_is_not_there(tmp_path: Path) -> None:
         exporter.terminate()
         assert exporter.wait(60.0) == 0
     assert 'eigenscan_robot_state{robot="r17"} 0.0' in served
+
+
+@pytest.mark.parametrize("form", ["--once", "--json=-"])
+def test_a_site_of_which_nothing_answers_is_named(operator: Path, form: str) -> None:
+    """With a wrong --site all robots of the right one were shown as not there, with exit code 0."""
+    where = ["--site", "hospitl", "--zenoh", str(operator), "--seconds", "0.5"]
+    done = run("status", form, *where)
+    assert done.exit_code == 1
+    assert "r17" in done.stdout
+    assert done.stderr == (
+        "eigenscan fleet status: no service of site hospitl answers: check --site, or start its services\n"
+    )
