@@ -302,7 +302,8 @@ def test_a_revoked_group_stays_revoked_until_its_owner_wants_a_new_certificate(f
 @pytest.mark.parametrize(
     ("gone", "words"),
     [
-        ("site/mapbuilder.crt", ("mapbuilder.key: is there already", "put mapbuilder.crt back", "delete it")),
+        ("site/mapbuilder.crt", ("mapbuilder.key: is there already", "mapbuilder.crt or", "move it away")),
+        ("fleet.toml", ("ca.key: is there already", "put back what is gone, ca.crt or fleet.toml")),
         ("authority/ca.key", ("ca.key: is not there", "put it back from a copy", "in a new folder")),
         ("authority/ca.crt", ("ca.crt: is not there", "put it back from a copy")),
     ],
@@ -312,7 +313,7 @@ def test_half_of_a_pair_of_files_is_named_with_its_fix(
 ) -> None:
     (folder / gone).unlink()
     before = content(folder)
-    failed = run("certify", "-o", folder)
+    failed = run(*(FIRST if gone == "fleet.toml" else ("certify",)), "-o", folder)
     assert failed.exit_code == 2, failed.stderr
     for each in words:
         assert each in failed.stderr

@@ -138,7 +138,7 @@ def _write_new(path: Path, content: bytes, mode: int) -> None:
     if path.name != "ca.crt" and path.exists():
         other = path.with_suffix(".key" if path.suffix == ".crt" else ".crt")
         raise UsageError(
-            f"{path}: is there already: put {other.name} back beside it, or delete it for a new certificate"
+            f"{path}: is there already: put back what is gone, {other.name} or fleet.toml, or move it away"
         )
     write_whole(path, content, mode)
 
