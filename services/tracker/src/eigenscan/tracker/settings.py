@@ -95,6 +95,6 @@ class TrackerSettings(BaseModel):
         if self.released_below > self.localized_above:
             raise ValueError(
                 f"released_below = {self.released_below:g} is above localized_above = "
-                f"{self.localized_above:g}: a claim would be withdrawn at once: give at most that"
+                f"{self.localized_above:g}: a claim would be withdrawn at once: lower released_below"
             )
         return self
