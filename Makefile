@@ -5,7 +5,7 @@ setup:
 	@tools/setup
 
 demo: setup
-	@.venv/bin/eigenscan demo $(if $(HEADLESS),--headless)
+	@viewer=; test -t 1 || viewer=--headless; .venv/bin/eigenscan demo $(if $(HEADLESS),--headless,$$viewer)
 
 check: setup
 	@tools/check

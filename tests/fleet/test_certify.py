@@ -140,6 +140,7 @@ def test_no_fleet_and_nothing_left(tmp_path: Path, arguments: tuple[str, ...], p
     ("text", "parts"),
     [
         ("[air]\nscans = 1.0", ("air.scans", "scan_raw")),
+        ("[air]\nscan = true", ("air.scan = True", "valid number")),
         ("[air]\nscan = -1", ("air.scan", "greater than or equal")),
         ("[air]\nmodel = 1.0", ("air.model", "robots")),
         ("[robots.r99]\nscan = 1.0", ("robots.r99", "r17")),
@@ -246,3 +247,74 @@ def test_what_a_fleet_lacks_and_what_it_cannot_have_has_our_words(folder: Path) 
     assert failed.exit_code == 2
     for words in ("site = 5: must be a valid string", "addresses: must be given", "x: unknown"):
         assert words in failed.stderr
+
+
+def add_to_settings(folder: Path, text: str) -> None:
+    path = folder / "fleet.toml"
+    path.write_text(f"{path.read_text()}\n{text}\n")
+
+
+def test_a_revoked_robot_with_a_table_of_its_own_is_shut_out(folder: Path) -> None:
+    """Its rights stayed in the router's file, for configure refused a table without a certificate."""
+    assert run("certify", "--robot", "r18", "-o", folder).exit_code == 0
+    add_to_settings(folder, "[robots.r17]\nscan_raw = 5.0")
+    done = run("revoke", "r17", "-o", folder)
+    assert done.exit_code == 0, done.stderr
+    assert "r17" not in (folder / "site/router.json5").read_text()
+    for command in ("configure",), ("certify", "--robot", "r19"):
+        done = run(*command, "-o", folder)
+        assert done.exit_code == 0, done.stderr
+        assert "robots.r17: is left out, for its certificate is revoked: delete the table" in done.stderr
+    assert run("certify", "--robot", "r17", "-o", folder).exit_code == 0
+    assert "left out" not in run("configure", "-o", folder).stderr
+
+
+def test_a_fault_that_keeps_a_robot_in_is_named_as_such(folder: Path) -> None:
+    add_to_settings(folder, "[robots.r99]\nscan = 1.0")
+    failed = run("revoke", "r17", "-o", folder)
+    assert failed.exit_code == 1, failed.stderr
+    for words in ("r17 is NOT shut out yet", "robots.r99", f"eigenscan fleet configure -o {folder}"):
+        assert words in failed.stderr
+
+
+def test_a_revoked_group_stays_revoked_until_its_owner_wants_a_new_certificate(folder: Path) -> None:
+    """The next certify, of another robot, made it a new certificate, and its rights were back."""
+    settings, router = folder / "fleet.toml", folder / "site/router.json5"
+    settings.write_text(settings.read_text().replace("[groups]", '[groups]\nlab = "r1*"'))
+    assert run("certify", "-o", folder).exit_code == 0
+    served = (folder / "robots/r17/router.json5").read_text()
+    assert run("revoke", "lab", "-o", folder).exit_code == 0
+    done = run("certify", "--robot", "r18", "-o", folder)
+    assert done.exit_code == 0, done.stderr
+    assert "group.lab" not in router.read_text()
+    assert "groups/lab" not in done.stdout
+    (old,) = (folder / "revoked").iterdir()
+    assert "groups.lab: is left out, for its certificate is revoked: delete the line" in done.stderr
+    assert f"delete {old} and run: eigenscan fleet certify -o {folder}" in done.stderr
+    assert (folder / "robots/r17/router.json5").read_text() != served  # its scans no longer leave it for lab
+    old.unlink()
+    done = run("certify", "-o", folder)
+    assert done.exit_code == 0, done.stderr
+    assert "group.lab" in router.read_text()
+    assert "left out" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("gone", "words"),
+    [
+        ("site/mapbuilder.crt", ("mapbuilder.key: is there already", "mapbuilder.crt or", "move it away")),
+        ("fleet.toml", ("ca.key: is there already", "put back what is gone, ca.crt or fleet.toml")),
+        ("authority/ca.key", ("ca.key: is not there", "put it back from a copy", "in a new folder")),
+        ("authority/ca.crt", ("ca.crt: is not there", "put it back from a copy")),
+    ],
+)
+def test_half_of_a_pair_of_files_is_named_with_its_fix(
+    folder: Path, gone: str, words: tuple[str, ...]
+) -> None:
+    (folder / gone).unlink()
+    before = content(folder)
+    failed = run(*(FIRST if gone == "fleet.toml" else ("certify",)), "-o", folder)
+    assert failed.exit_code == 2, failed.stderr
+    for each in words:
+        assert each in failed.stderr
+    assert content(folder) == before

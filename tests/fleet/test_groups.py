@@ -256,4 +256,6 @@ def test_a_groups_projector_is_revoked_as_a_robot_is(fleet: Fleet) -> None:
         ]
         assert not [rule for rule in ingress if any("/hypotheses/" in key for key in rule["key_exprs"])]
     finally:
+        for revoked in (fleet.folder / "revoked").glob("group.*"):
+            revoked.unlink()
         fleet.command("certify")

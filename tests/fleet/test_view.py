@@ -1,8 +1,11 @@
 """Poses that no tracker publishes: they ended `run --json` and `fleet status --json` as a fault of ours."""
 
 import json
+import subprocess
 from collections import deque
+from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 from eigenscan.cli.fleet.status import rows
@@ -12,6 +15,10 @@ from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.geometry_pb2 import Pose2
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode, encoding
+
+from tests.environment import PROGRAMS
+from tests.fleet.conftest import run
+from tests.network import free_port
 
 NAN, INF = float("nan"), float("inf")
 
@@ -59,3 +66,37 @@ def test_what_is_no_pose_is_not_shown(fields: dict[str, float]) -> None:
     assert _received(view, **fields) == []
     assert view.robots["r1"].pose.pose.x == 1.0
     json.dumps(rows(view), allow_nan=False)
+
+
+@pytest.fixture
+def operator(tmp_path: Path) -> Path:
+    """The configuration of an operator of a robot r17, where nobody else is."""
+    path = tmp_path / "operator.json5"
+    alone = {"listen": {"endpoints": [f"tcp/127.0.0.1:{free_port()}"]}, "metadata": {"robots": ["r17"]}}
+    path.write_text(json.dumps({"mode": "peer", "scouting": {"multicast": {"enabled": False}}} | alone))
+    return path
+
+
+def test_the_exporter_shows_a_robot_that_is_not_there(operator: Path) -> None:
+    """One that was off when the exporter started was in no metric, so no alert could be on it."""
+    where = ["--site", "s", "--zenoh", str(operator), "--port", "0"]
+    command = [str(PROGRAMS / "eigenscan"), "fleet", "metrics", *where]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as exporter:
+        assert exporter.stdout is not None
+        with urlopen(exporter.stdout.readline().strip(), timeout=60.0) as page:
+            served = page.read().decode()
+        exporter.terminate()
+        assert exporter.wait(60.0) == 0
+    assert 'eigenscan_robot_state{robot="r17"} 0.0' in served
+
+
+@pytest.mark.parametrize("form", ["--once", "--json=-"])
+def test_a_site_of_which_nothing_answers_is_named(operator: Path, form: str) -> None:
+    """With a wrong --site all robots of the right one were shown as not there, with exit code 0."""
+    where = ["--site", "hospitl", "--zenoh", str(operator), "--seconds", "0.5"]
+    done = run("status", form, *where)
+    assert done.exit_code == 1
+    assert "r17" in done.stdout
+    assert done.stderr == (
+        "eigenscan fleet status: no service of site hospitl answers: check --site, or start its services\n"
+    )

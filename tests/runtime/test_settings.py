@@ -133,6 +133,11 @@ def test_a_bad_flag_is_named_with_what_would_do(arguments: list[str], parts: lis
         ("[scan-prob]\nbeams = 1", ["robot.toml: [scan-prob]: unknown", "[scan-probe]?"]),
         ("scan-probe = 1", ["robot.toml: scan-probe: must be a table"]),
         ("site = 1", ["robot.toml: site = 1", "string"]),
+        ("site = true", ["robot.toml: site = True", "string"]),
+        ("[scan-probe]\nbeams = true", ["robot.toml: [scan-probe] beams: must be a number, not true"]),
+        ("[scan-probe]\nspacing = true", ["robot.toml: [scan-probe] spacing: must be a number, not true"]),
+        ("[scan-probe]\nlimits = [0.1, true]", ["robot.toml: [scan-probe] limits.1: must be a number"]),
+        ("[scan-probe]\nv_max = 2.0", ["robot.toml: [scan-probe] v_max: unknown: docs/settings.md has"]),
     ],
 )
 def test_a_bad_file_is_named_with_place_and_fix(text: str, parts: list[str]) -> None:
@@ -165,6 +170,11 @@ def test_other_services_tables_are_theirs() -> None:
             "1",
             ["EIGENSCAN_SCAN_PROBE_BAEMS: unknown", "EIGENSCAN_SCAN_PROBE_BEAMS?"],
         ),
+        (
+            "EIGENSCAN_SCAN_PORBE_BEAMS",
+            "1",
+            ["EIGENSCAN_SCAN_PORBE_BEAMS: unknown", "did you mean EIGENSCAN_SCAN_PROBE_BEAMS?"],
+        ),
     ],
 )
 def test_a_bad_variable_is_named(
@@ -175,6 +185,12 @@ def test_a_bad_variable_is_named(
         _load()
     for part in parts:
         assert part in str(error.value)
+
+
+@pytest.mark.parametrize("variable", ["EIGENSCAN_SCAN_SETS_BEAMS", "EIGENSCAN_PROBE_BEAMS", "EIGENSCAN_MAPS"])
+def test_what_other_programs_are_given_is_theirs(monkeypatch: pytest.MonkeyPatch, variable: str) -> None:
+    monkeypatch.setenv(variable, "1")
+    assert _load() == ProbeSettings()
 
 
 def test_a_bad_robot_is_one_fault_only() -> None:

@@ -45,15 +45,21 @@ def test_a_robot_is_relocated_and_the_operator_gets_the_result(house: House) -> 
             newest.pose.x,
             newest.pose.y,
             57.3 * newest.pose.theta,
+            "--sigma",
+            5.0,  # it drives on until the command is published
             "--seconds",
             PATIENCE_S,
         )
         assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
         assert found["away_m"] < 20.0  # it has driven on since
 
+        code, found, error = report(house, "robot", "--pose", 500, 500, 0, "--seconds", PATIENCE_S)
+        assert (code, found["taken_up"], found["state"]) == (1, True, "localized")
+        assert "m from --pose: its scans contradict it" in error
+
         code, found, _ = report(house, "robot", "--search", "--seconds", PATIENCE_S)
         assert (code, found["taken_up"], found["state"]) == (0, True, "localized")
-        assert house.ear.health("tracker").counters["relocated"] == 2  # type: ignore[union-attr]
+        assert house.ear.health("tracker").counters["relocated"] == 3  # type: ignore[union-attr]
 
         code, found, error = report(house, "lost", "--search", "--seconds", 8)
         assert (code, found) == (1, {})

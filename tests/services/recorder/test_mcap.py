@@ -355,9 +355,14 @@ def test_while_there_is_no_file_messages_are_counted_as_lost(tmp_path: Path) -> 
     sink.write(pose(2))
     assert sink.counters["mcap_lost"] == 2
     assert sink.problem == before, "each change is a line in the log, four a second"
+    core = RecorderCore([sink])
+    assert core.condition().status == Health.STATUS_DEGRADED
     clock.now += 2 * S
     sink.write(pose(3))
     assert sink.problem == ""
+    reported = core.condition()
+    assert reported.status == Health.STATUS_OK
+    assert reported.detail == "mcap: 2 messages were lost: the disk was full, or a file deleted"
     sink.close()
     assert [record.publish_time for record in read(folder / "a-2.mcap")] == [3]
 

@@ -170,6 +170,14 @@ def read_models(folder: Path) -> SiteModel:
     return _read_once(folder)
 
 
+def floor_names(folder: Path) -> tuple[str, ...]:
+    """Names of the floors that a folder holds models of; none if it is one map, or no model folder."""
+    try:
+        return tuple(str(published["name"]) for published in _read_manifest(folder / MANIFEST)["floors"])
+    except (ModelError, KeyError, TypeError):
+        return ()
+
+
 def _state(folder: Path) -> tuple[int, int] | None:
     """A value that changes when the folder is replaced; None if there is no folder."""
     try:

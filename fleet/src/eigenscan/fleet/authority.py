@@ -6,7 +6,6 @@ clients: a robot's cannot pass itself off as the site's router.
 
 from __future__ import annotations
 
-import errno
 import ipaddress
 import os
 import secrets
@@ -60,6 +59,11 @@ class Authority:
     @staticmethod
     def load(folder: Path) -> Authority:
         """Reads what `save` wrote. Raises UsageError that names the bad file."""
+        for path in (folder / "ca.key", folder / "ca.crt"):
+            if not path.exists():
+                raise UsageError(
+                    f"{path}: is not there: put it back from a copy; else make a fleet in a new folder"
+                )
         key = serialization.load_pem_private_key((folder / "ca.key").read_bytes(), password=None)
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise UsageError(
@@ -112,7 +116,7 @@ def write_pair(
 ) -> None:
     """Writes name.crt, and name.key readable by its owner only: both or none.
 
-    Raises FileExistsError if one exists.
+    Raises UsageError if one exists.
     """
     folder.mkdir(parents=True, exist_ok=True)
     private = key.private_bytes(
@@ -121,7 +125,7 @@ def write_pair(
     _write_new(folder / f"{name}.key", private, 0o600)
     try:
         _write_new(folder / f"{name}.crt", _pem(certificate), 0o644)
-    except OSError:
+    except (OSError, UsageError):
         (folder / f"{name}.key").unlink()
         raise
 
@@ -132,7 +136,10 @@ def _pem(certificate: x509.Certificate) -> bytes:
 
 def _write_new(path: Path, content: bytes, mode: int) -> None:
     if path.name != "ca.crt" and path.exists():
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+        other = path.with_suffix(".key" if path.suffix == ".crt" else ".crt")
+        raise UsageError(
+            f"{path}: is there already: put back what is gone, {other.name} or fleet.toml, or move it away"
+        )
     write_whole(path, content, mode)
 
 

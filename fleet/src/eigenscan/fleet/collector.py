@@ -35,7 +35,7 @@ class SiteCollector:
         old = _gauge(
             "robot_model_old", "1 where the newest pose is by an older model than the site's", "robot"
         )
-        for name in view.robot_names():
+        for name in view.all_robots():
             robot = view.robots.get(name)
             pose = robot.pose if robot is not None else None
             state.add_metric([name], pose.state if pose is not None else 0)

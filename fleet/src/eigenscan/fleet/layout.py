@@ -14,7 +14,8 @@ import json
 import math
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,7 +36,9 @@ __all__ = [
     "begin",
     "checked",
     "configure",
-    "configure_after",
+    "in_force",
+    "left_out",
+    "mended_by_configure",
     "read",
     "revoke",
     "robots",
@@ -104,7 +107,7 @@ def _host(name: str) -> str:
     return name
 
 
-Hertz = Annotated[float, Field(ge=0.0)]
+Hertz = Annotated[float, Field(ge=0.0, strict=True)]  # strict: true is no number
 Rates = dict[Annotated[str, AfterValidator(_channel)], Hertz]
 RobotName = Annotated[str, AfterValidator(_robot)]
 GroupName = Annotated[str, AfterValidator(_robot), AfterValidator(_chunk)]
@@ -168,6 +171,37 @@ def robots(folder: Path) -> tuple[str, ...]:
     return tuple(sorted(path.parent.name for path in (folder / "robots").glob("*/robot.crt")))
 
 
+def in_force(folder: Path) -> Fleet:
+    """fleet.toml without the robots and groups whose certificates are revoked. Raises as `read` does."""
+    fleet = read(folder)
+    robots = {name: air for name, air in fleet.robots.items() if not _revoked(folder, "robot", name)}
+    groups = {name: group for name, group in fleet.groups.items() if not _revoked(folder, "group", name)}
+    return fleet.model_copy(update={"robots": robots, "groups": groups})
+
+
+def left_out(folder: Path) -> list[str]:
+    """A line on each part of fleet.toml that is not in force, and what its owner must do."""
+    path, whole, part = folder / "fleet.toml", read(folder), in_force(folder)
+    lines = [
+        f"{path}: robots.{name}: is left out, for its certificate is revoked: delete the table"
+        for name in sorted(set(whole.robots) - set(part.robots))
+    ]
+    for name in sorted(set(whole.groups) - set(part.groups)):
+        old = ", ".join(map(str, _revoked(folder, "group", name)))
+        lines.append(
+            f"{path}: groups.{name}: is left out, for its certificate is revoked: delete the line; or, for a "
+            f"new certificate, delete {old} and run: eigenscan fleet certify -o {folder}"
+        )
+    return lines
+
+
+def _revoked(folder: Path, kind: str, name: str) -> list[Path]:
+    """Revoked certificates of a robot or group that holds no other."""
+    held = {"robot": f"robots/{name}/robot.crt", "group": f"groups/{name}/projector.crt"}[kind]
+    all_revoked = [] if (folder / held).exists() else sorted((folder / "revoked").glob("*.crt"))
+    return [path for path in all_revoked if path.name.startswith(f"{kind}.{name}.")]
+
+
 def services(folder: Path) -> dict[Role, Path]:
     """Roles that hold a certificate besides routers and robots, and the folder of each."""
     return {
@@ -179,7 +213,7 @@ def services(folder: Path) -> dict[Role, Path]:
 
 def configure(folder: Path) -> None:
     """Writes the configuration of every router and service of the fleet."""
-    fleet, members = read(folder), robots(folder)
+    fleet, members = in_force(folder), robots(folder)
     if unknown := sorted(set(fleet.robots) - set(members)):
         known = ", ".join(members)
         raise UsageError(
@@ -240,20 +274,22 @@ def revoke(folder: Path, name: str) -> Path:
     kept = folder / "revoked" / f"{common_name(held)}.crt"
     kept.parent.mkdir(exist_ok=True)
     held.rename(kept)
-    held.with_suffix(".key").unlink(missing_ok=True)
-    if name in of_service:
-        held.with_suffix(".json5").unlink(missing_ok=True)
-    else:
-        shutil.rmtree(held.parent)
-    configure_after(folder, f"{name} is NOT shut out yet")
+    with mended_by_configure(folder, f"{name} is NOT shut out yet"):
+        held.with_suffix(".key").unlink(missing_ok=True)
+        if name in of_service:
+            held.with_suffix(".json5").unlink(missing_ok=True)
+        else:
+            shutil.rmtree(held.parent)
+        configure(folder)
     return kept
 
 
-def configure_after(folder: Path, otherwise: str) -> None:
-    """Writes the configuration after a change of certificates; a disk that is full leaves it to be done."""
+@contextmanager
+def mended_by_configure(folder: Path, otherwise: str) -> Iterator[None]:
+    """After a change of certificates: a full disk or a fault in fleet.toml leaves `configure` to be done."""
     try:
-        configure(folder)
-    except OSError as error:
+        yield
+    except (OSError, UsageError) as error:
         raise FailedError(
             f"{otherwise}: {one_line(error)}; then run: eigenscan fleet configure -o {folder}"
         ) from error

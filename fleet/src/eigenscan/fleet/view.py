@@ -292,6 +292,11 @@ class FleetView:
     def _service(self, name: str, instance: str) -> Service:
         return self.services.setdefault((name, instance), Service(name, instance))
 
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing of the site was received: no service is there, and no robot."""
+        return not self.robots and not any(each.contracts for each in self.services.values())
+
     def robot_names(self) -> list[str]:
         """Every robot that was received, or that a service is there for."""
         served = {

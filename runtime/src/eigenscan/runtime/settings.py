@@ -17,7 +17,7 @@ import sys
 import tomllib
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -161,12 +161,31 @@ def load(kind: type[S], service: str, arguments: list[str] | None = None) -> S:
 
 def validated(kind: type[M], given: Mapping[str, Given]) -> M:
     """Checks values by `kind`. Raises SettingsError that names the source, the field and what is accepted."""
+    values = {name: entry.value for name, entry in given.items()}
     try:
-        return kind.model_validate({name: entry.value for name, entry in given.items()})
+        found = kind.model_validate(values)
     except ValidationError as error:
         # a default that derives from a bad value fails too: report only the bad value
         faults = [each for each in error.errors() if each["type"] != "default_factory_not_called"]
         raise SettingsError("; ".join(_explain(fault, given) for fault in faults)) from error
+    for field, *inner in _truth_as_number(values, found.model_dump()):
+        place = ".".join([given[field].place, *inner])
+        raise SettingsError(f"{place}: must be a number, not true or false")
+    return found
+
+
+def _truth_as_number(given: Any, taken: Any) -> Iterator[tuple[str, ...]]:
+    """Where pydantic took true or false for a number: the way to each, through tables and lists."""
+    if isinstance(given, dict) and isinstance(taken, dict):
+        pairs = [(str(name), value, taken[name]) for name, value in given.items()]
+    elif isinstance(given, list) and isinstance(taken, (list, tuple)):
+        pairs = [(str(number), *each) for number, each in enumerate(zip(given, taken, strict=True))]
+    else:
+        pairs = []
+        if isinstance(given, bool) and isinstance(taken, (int, float)) and not isinstance(taken, bool):
+            yield ()
+    for name, *pair in pairs:
+        yield from ((name, *rest) for rest in _truth_as_number(*pair))
 
 
 def _explain(problem: ErrorDetails, given: Mapping[str, Given]) -> str:
@@ -249,6 +268,10 @@ def _environment(kind: type[ServiceSettings], service: str) -> dict[str, Given]:
         if variable.startswith(own) and rest not in names:
             hint = gone(kind, rest.lower()) or f"unknown{nearest(rest, names, own)}"
             raise SettingsError(f"environment: {variable}: {hint}")
+        for capitals in () if variable.startswith(own) else names:
+            service = variable.removesuffix(capitals)
+            if service != variable and difflib.get_close_matches(service, [own], cutoff=0.9):
+                raise SettingsError(f"environment: {variable}: unknown, did you mean {own}{capitals}?")
     return found
 
 
@@ -299,7 +322,11 @@ def read_table(
     ):
         for name in values:
             if name not in known:
-                hint = f", is it for [{service}]?" if name in kind.model_fields else nearest(name, known)
+                hint = (
+                    f", is it for [{service}]?"
+                    if name in kind.model_fields
+                    else nearest(name, known) or ": docs/settings.md has every service's settings"
+                )
                 raise SettingsError(f"{path}: {place}{name}: {gone(kind, name) or f'unknown{hint}'}")
     return {name: Given(value, f"{path}: {name}") for name, value in shared.items()} | {
         name: Given(value, f"{path}: [{service}] {name}") for name, value in own.items()

@@ -52,7 +52,8 @@ def certify(
             authority.issue(folder / "groups" / name, "projector", f"group.{name}", days)
     for name in names:
         authority.issue(folder / "robots" / name, "robot", f"robot.{name}", days)
-    layout.configure_after(folder, "certificates are made, their configuration is not")
+    with layout.mended_by_configure(folder, "certificates are made, their configuration is not"):
+        layout.configure(folder)
     typer.echo(f"{folder / 'authority'}: signs certificates; keep it away from robots and servers")
     typer.echo(f"{folder / 'site'}: copy it to {layout.INSTALLED} on the site's server")
     typer.echo(f"{folder / 'operator'}: copy it to {layout.INSTALLED} where the fleet is looked after")
@@ -60,6 +61,8 @@ def certify(
         typer.echo(f"{folder / 'groups' / name}: copy it to {layout.INSTALLED} where its projector runs")
     for name in names:
         typer.echo(f"{folder / 'robots' / name}: copy it to {layout.INSTALLED} on {name}")
+    for line in layout.left_out(folder):
+        typer.echo(line, err=True)
 
 
 def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Sequence[str]) -> Fleet:
@@ -76,7 +79,7 @@ def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Se
     elif site is not None or addresses:
         raise UsageError(f"--site, --address: {settings} has them; change them there")
     else:
-        wanted = layout.read(folder).model_dump()
+        wanted = layout.in_force(folder).model_dump()
     both = {*names, *layout.robots(folder)} & set(wanted.get("groups", ()))
     if both:
         raise UsageError(f"{settings}: groups.{both.pop()}: is a robot's name as well: choose another")

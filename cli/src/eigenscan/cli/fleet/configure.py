@@ -26,3 +26,5 @@ def configure(
 
     layout.configure(folder)
     typer.echo(f"{folder}: configured for {', '.join(layout.robots(folder)) or 'no robot yet'}")
+    for line in layout.left_out(folder):
+        typer.echo(line, err=True)

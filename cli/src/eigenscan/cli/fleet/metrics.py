@@ -28,13 +28,14 @@ def metrics(
       eigenscan fleet metrics --site hospital --port 9300 --host 0.0.0.0
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.fleet.collector import SiteCollector
+    from eigenscan.fleet.configuration import robots_in
     from eigenscan.fleet.view import FleetView, connect
     from eigenscan.runtime.errors import UsageError
     from eigenscan.runtime.stop_event import StopEvent
     from prometheus_client import CollectorRegistry, start_http_server
 
     stop = StopEvent()
-    with stop.on_signals(), FleetView(connect(zenoh), site) as view:
+    with stop.on_signals(), FleetView(connect(zenoh), site, robots_in(zenoh)) as view:
         registry = CollectorRegistry()
         collector = SiteCollector(view)
         registry.register(collector)

@@ -17,6 +17,10 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, Relocation
 if TYPE_CHECKING:
     from eigenscan.fleet.view import FleetView, Service
 
+SPEED = 2.0
+"""m/s that a robot may have driven on, at most, before its claim came."""
+NEAR_M = 1.0
+"""m between a pose and a claim that confirms it, besides its sigma and the way driven."""
 TURN_SHARE = math.radians(15.0) / 0.5
 """rad per m: a click that is half a metre off is also 15 degrees off."""
 
@@ -37,7 +41,8 @@ def relocate(
 ) -> None:
     """Set a robot's pose, or restart its search, and wait for its answer.
 
-    The next scans may contradict the pose. Exit code 0: the robot accepted it, 1: it did not.
+    The next scans may contradict the pose. Exit code 0: the robot accepted it, 1: it did not, or it then
+    claims another place.
 
     \b
     Examples:
@@ -54,7 +59,7 @@ def relocate(
         raise UsageError(f"{robot!r}: is no robot's name; give one robot")
     with FleetView(connect(zenoh), site) as view:
         _wait_for_tracker(view, robot, seconds)
-        before = _taken_up(view, robot)
+        before, begun = _taken_up(view, robot), time.monotonic()
         view.publish(Envelope(RELOCATION, {"site": site, "robot": robot}, _word(pose, sigma)))
         if not view.until(lambda: _taken_up(view, robot) > before, seconds):
             raise FailedError(
@@ -64,9 +69,15 @@ def relocate(
         since = time.monotonic()
         view.until(lambda: _is_sure(view, robot, since), seconds)
         found = _outcome(view, robot, pose, since)
+        driven = SPEED * (time.monotonic() - begun)
     if wants_words(json_file):
         typer.echo(_words(found))
     write_figures(found, json_file)
+    if (away := found.get("away_m", 0.0)) > NEAR_M + 3.0 * sigma + driven:
+        raise FailedError(
+            f"{robot} claims a place {away:.0f} m from --pose: its scans contradict it; give the right pose, "
+            "a larger --sigma, or --search"
+        )
 
 
 def _word(pose: tuple[float, float, float] | None, sigma: float) -> Relocation:

@@ -32,3 +32,5 @@ def revoke(
         "any other must be restarted",
         err=True,
     )
+    for line in layout.left_out(folder):
+        typer.echo(line, err=True)

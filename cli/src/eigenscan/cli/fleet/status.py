@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import DEFAULT_SITE
 
@@ -31,7 +32,8 @@ def status(
 ) -> None:
     """Show each robot of a site: state, confidence, pose, map, and its age. Ctrl-C ends it.
 
-    Ages count from the arrival here, so they do not depend on the robots' clocks.
+    Ages count from the arrival here, so they do not depend on the robots' clocks. With --once or --json exit
+    code 1: nothing of the site answers.
 
     \b
     Examples:
@@ -51,6 +53,8 @@ def status(
             if wants_words(json_file):
                 console.print(table(view))
             write_figures({"site": site, "model": view.model_version, "robots": rows(view)}, json_file)
+            if view.is_silent:
+                raise FailedError(f"no service of site {site} answers: check --site, or start its services")
             return
         with Live(table(view), console=console, auto_refresh=False) as live:
             try:

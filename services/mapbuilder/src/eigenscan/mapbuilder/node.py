@@ -18,6 +18,7 @@ def make_core(options: MapbuilderOptions) -> Core:
     from eigenscan.mapbuilder.core import MapbuilderCore
 
     if options.model is not None:
+        from eigenscan.eigenspace.folder import floor_names
         from eigenscan.mapbuilder.keeping.change_manager import ChangeManager
         from eigenscan.mapbuilder.keeping.source import Source
         from eigenscan.mapbuilder.keeping.store import Store
@@ -25,6 +26,11 @@ def make_core(options: MapbuilderOptions) -> Core:
         store = Store(options.model)
         source = Source(read_map(options.map), options) if options.map is not None else None
         if source is not None:
+            if floors := floor_names(options.model):
+                raise SettingsError(
+                    f"map = {options.map}: {options.model} holds the floors {', '.join(floors)}, which "
+                    "models of this one map would replace: remove map from the settings"
+                )
             options.model.parent.mkdir(parents=True, exist_ok=True)
         if options.changes in ("propose", "publish") and not store.is_writable:
             raise SettingsError(

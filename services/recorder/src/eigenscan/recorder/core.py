@@ -67,10 +67,13 @@ class RecorderCore:
         return ()
 
     def condition(self) -> Condition:
-        """Degraded as soon as one sink has a problem."""
+        """Degraded as soon as one sink has a problem; what was lost before stays in the detail."""
         problems = "; ".join(sink.problem for sink in self._sinks if sink.problem)
         counters = Counter[str]()
         for sink in self._sinks:  # some count under the same names
             counters.update(sink.counters)
-        status = Health.STATUS_DEGRADED if problems else Health.STATUS_OK
-        return Condition(status, problems, counters)
+        if problems:
+            return Condition(Health.STATUS_DEGRADED, problems, counters)
+        lost = counters["mcap_lost"]
+        detail = f"mcap: {lost} messages were lost: the disk was full, or a file deleted" if lost else ""
+        return Condition(Health.STATUS_OK, detail, counters)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 EVERY_LIDAR = "*"
+FARTHEST_M = 20.0
+"""m from the base's origin along an axis, at most: no vehicle indoors is as long."""
 
 
 class Mount(BaseModel):
@@ -16,6 +18,13 @@ class Mount(BaseModel):
     y: float = Field(0.0, description="m to the left of it")
     yaw: float = Field(0.0, ge=-360.0, le=360.0, description="deg, counter-clockwise seen from above")
     upside_down: bool = Field(False, description="mounted head down")
+
+    @field_validator("x", "y")
+    @classmethod
+    def _on_the_robot(cls, value: float) -> float:
+        if abs(value) > FARTHEST_M:
+            raise ValueError(f"must be within {FARTHEST_M:g} m: is it in millimetres?")
+        return value
 
 
 class ScanIngestSettings(BaseModel):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class TrackerSettings(BaseModel):
@@ -89,3 +89,12 @@ class TrackerSettings(BaseModel):
     transform_hz: float = Field(20.0, gt=0, description="most transforms a second; inf: at each odometry")
     tracks_hz: float = Field(10.0, gt=0, description="most tracks messages a second; inf: at each pose")
     history: int = Field(100, ge=0, description="past poses published of each track, from 1 % on")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> TrackerSettings:
+        if self.released_below > self.localized_above:
+            raise ValueError(
+                f"released_below = {self.released_below:g} is above localized_above = "
+                f"{self.localized_above:g}: a claim would be withdrawn at once: lower released_below"
+            )
+        return self
