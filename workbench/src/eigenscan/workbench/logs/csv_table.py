@@ -185,6 +185,7 @@ class CsvLog:
     progress: float = 0.0
     counters: Counter[str] = field(default_factory=Counter)
     logged: dict[int, int] = field(default_factory=dict)
+    damage: str = ""
 
     def envelopes(self) -> Iterator[Envelope]:
         """SCAN_RAW and ODOMETRY by stamp. Raises LogError that names line and column."""

@@ -19,6 +19,7 @@ from rich.table import Table
 
 HINTS = {
     "stamps_repaired": "by the order of the lines",
+    "no_metadata": "no metadata.yaml in the folder: read without it",
     "truncated_file": "what could be read was taken",
     "lidars_at_another_height": "a map shows one plane; take them with --lidar-topic",
     "scans_of_another_frame": "on a lidar's topic: let each lidar have its own",
@@ -95,6 +96,8 @@ class Summary:
             if count:
                 hint = f" ({HINTS[what]})" if what in HINTS else ""
                 console.print(f"{what.replace('_', ' ')}: {count}{hint}", highlight=False)
+        if log.damage:
+            console.print(printable(log.damage), highlight=False, soft_wrap=True)
         console.print(
             f"wrote {printable(str(target))} ({target.stat().st_size / 1e6:.1f} MB)", highlight=False
         )
@@ -109,6 +112,7 @@ class Summary:
                 for name, row in sorted(self._rows.items())
             },
             "set_aside": {what: count for what, count in sorted(log.counters.items()) if count},
+            "damage": log.damage,
             "recording": str(target),
         }
 
