@@ -126,6 +126,21 @@ def test_a_picture_on_a_full_disk(folder: Path) -> None:
     assert "fault of ours" not in result.stderr
 
 
+def test_a_report_is_shown_before_its_figures_fill_the_disk(folder: Path) -> None:
+    """Half an hour of work was lost."""
+    made = eigenscan("simulate", "-o", "long.mcap", "--truth", "long.tum", "--seconds", 20)
+    assert made.returncode == 0, made.stderr
+    stamps = [line.split()[0] for line in (folder / "long.tum").read_text().splitlines()]
+    lines = ["stamp,x,y,heading", *(f"{stamp},0,0,0" for stamp in stamps)]
+    (folder / "claims.csv").write_text("\n".join(lines) + "\n")
+    typed = shlex.split("evaluate long.mcap --poses claims.csv --ground-truth long.tum")
+    shown = eigenscan(*typed, cwd=folder)
+    result = eigenscan(*typed, "--json", "/dev/full", cwd=folder)
+    assert (shown.returncode, result.returncode) == (0, 2), shown.stderr
+    assert "--json /dev/full: No space left on device" in result.stderr
+    assert result.stdout == shown.stdout != ""
+
+
 def test_a_name_that_is_no_utf8(folder: Path) -> None:
     odd = os.fsdecode(b"[red]dr\xffve.mcap")
     (folder / "drive.mcap").rename(folder / odd)
