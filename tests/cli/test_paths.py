@@ -5,14 +5,19 @@ import json
 import os
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from eigenscan.cli import view
 from eigenscan.cli.figures import prepare
+from eigenscan.cli.main import app
+from eigenscan.recorder.rerun_sink import RerunSink
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import ContractError
 from eigenscan.workbench.playback.controls import Script
+from typer.testing import CliRunner
 
 from tests.command import eigenscan
 
@@ -124,6 +129,22 @@ def test_a_picture_on_a_full_disk(folder: Path) -> None:
     assert "view: /dev/full: " in result.stderr
     assert "No space left" in result.stderr
     assert "fault of ours" not in result.stderr
+
+
+def test_a_picture_on_a_disk_that_filled_up(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def end_early(*_: object) -> None:
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    monkeypatch.setattr(RerunSink, "write", end_early)
+    monkeypatch.setattr(view, "disk_usage", lambda _place: SimpleNamespace(free=0))
+    typed = ["view", str(folder / "drive.mcap"), "--no-open", "--rrd", str(folder / "a.rrd")]
+    result = CliRunner().invoke(app, typed)
+    assert result.exit_code == 2
+    assert f"{folder / 'a.rrd'}: No space left on device: make room" in result.stderr
+    monkeypatch.setattr(view, "disk_usage", lambda _place: SimpleNamespace(free=10**9))
+    result = CliRunner().invoke(app, typed)
+    assert result.exit_code == 1
+    assert "prematurely" in result.stderr
 
 
 def test_a_report_is_shown_before_its_figures_fill_the_disk(folder: Path) -> None:
