@@ -138,6 +138,8 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
             _refuse_others(path, file)
             refuse_bombs(file)
             yield file
+    except RecordingError:
+        raise
     except InvalidMagic as error:
         raise RecordingError(
             f"{path}: is no readable recording: no MCAP; eigenscan import makes one of a log"
