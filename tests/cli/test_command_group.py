@@ -294,6 +294,5 @@ def test_a_bag_in_a_recordings_place_is_reported_with_how_to_become_one(
 ) -> None:
     bag = tmp_path / "drive.bag"
     bag.write_bytes(b"#ROSBAG V2.0\n" + bytes(4096))
-    _expect_one_line(
-        eigenscan(command[0], bag, *command[1:]), command[0], "ROS 1 bag", "eigenscan import drive.bag"
-    )
+    words = f"drive.bag: is a ROS 1 bag, not a recording: eigenscan import {bag} makes one of it"
+    _expect_one_line(eigenscan(command[0], bag, *command[1:]), command[0], words)

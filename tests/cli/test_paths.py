@@ -5,14 +5,19 @@ import json
 import os
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from eigenscan.cli import view
 from eigenscan.cli.figures import prepare
+from eigenscan.cli.main import app
+from eigenscan.recorder.rerun_sink import RerunSink
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.runtime.session import open_session
 from eigenscan.schemas.channels import ContractError
 from eigenscan.workbench.playback.controls import Script
+from typer.testing import CliRunner
 
 from tests.command import eigenscan
 
@@ -124,6 +129,37 @@ def test_a_picture_on_a_full_disk(folder: Path) -> None:
     assert "view: /dev/full: " in result.stderr
     assert "No space left" in result.stderr
     assert "fault of ours" not in result.stderr
+
+
+def test_a_picture_on_a_disk_that_filled_up(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def end_early(*_: object) -> None:
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    monkeypatch.setattr(RerunSink, "write", end_early)
+    monkeypatch.setattr(view, "disk_usage", lambda _place: SimpleNamespace(free=0))
+    typed = ["view", str(folder / "drive.mcap"), "--no-open", "--rrd", str(folder / "a.rrd")]
+    result = CliRunner().invoke(app, typed)
+    assert result.exit_code == 2
+    assert f"{folder / 'a.rrd'}: No space left on device: make room" in result.stderr
+    monkeypatch.setattr(view, "disk_usage", lambda _place: SimpleNamespace(free=10**9))
+    result = CliRunner().invoke(app, typed)
+    assert result.exit_code == 1
+    assert "prematurely" in result.stderr
+
+
+def test_a_report_is_shown_before_its_figures_fill_the_disk(folder: Path) -> None:
+    """Half an hour of work was lost."""
+    made = eigenscan("simulate", "-o", "long.mcap", "--truth", "long.tum", "--seconds", 20)
+    assert made.returncode == 0, made.stderr
+    stamps = [line.split()[0] for line in (folder / "long.tum").read_text().splitlines()]
+    lines = ["stamp,x,y,heading", *(f"{stamp},0,0,0" for stamp in stamps)]
+    (folder / "claims.csv").write_text("\n".join(lines) + "\n")
+    typed = shlex.split("evaluate long.mcap --poses claims.csv --ground-truth long.tum")
+    shown = eigenscan(*typed, cwd=folder)
+    result = eigenscan(*typed, "--json", "/dev/full", cwd=folder)
+    assert (shown.returncode, result.returncode) == (0, 2), shown.stderr
+    assert "--json /dev/full: No space left on device" in result.stderr
+    assert result.stdout == shown.stdout != ""
 
 
 def test_a_name_that_is_no_utf8(folder: Path) -> None:

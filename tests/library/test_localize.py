@@ -1,6 +1,7 @@
 """The library on a simulated drive whose truth is known."""
 
 import json
+import pickle
 import re
 import subprocess
 import sys
@@ -180,6 +181,19 @@ Sweep: Any = partial(Scan, angle_min=-1.57, angle_increment=0.0087, range_max=30
             ValueError,
             r"odometry = \[1.0, nan, 0.0\]: must be finite",
         ),
+        (lambda it: it.localize(GOOD, region=3), TypeError, "region = 3: give its name, a str"),
+        (lambda it: it.localize(GOOD, floor=None), TypeError, "floor = None: give its name, a str"),
+        (lambda it: it.localize(GOOD, (0, 0, 0), radius="1"), TypeError, "radius = '1': give a number, m"),
+        (
+            lambda it: it.localize(GOOD, (0, 0, 0), 1, turn=[1]),
+            TypeError,
+            r"turn = \[1\]: give a number, rad",
+        ),
+        (
+            lambda _: Untyped.from_map("a.png", metres_per_unit="0.05"),
+            TypeError,
+            "metres_per_unit = '0.05': give a number, m",
+        ),
         (lambda it: it.track(GOOD, (1, 2)), ValueError, r"odometry of shape \(2,\): give x, y and heading"),
     ],
 )
@@ -188,6 +202,14 @@ def test_a_wrong_argument_is_named_with_what_would_do(
 ) -> None:
     with pytest.raises(kind, match=words):
         call(localizer)
+
+
+def test_a_localizer_can_be_pickled(localizer: Localizer, drive: Path) -> None:
+    """For a pool of processes."""
+    scan, _ = read_log(drive / "drive.mcap")[20]
+    copy = pickle.loads(pickle.dumps(localizer))
+    assert np.array_equal(copy.localize(scan).poses, localizer.localize(scan).poses)
+    assert copy.track(scan).state
 
 
 def test_each_object_states_in_a_line_what_it_is(localizer: Localizer, drive: Path) -> None:

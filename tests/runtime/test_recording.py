@@ -52,6 +52,18 @@ def recording(tmp_path: Path) -> Path:
     return path
 
 
+def test_the_command_for_a_damaged_file_works_from_here(recording: Path) -> None:
+    path = recording.parent / "the night.mcap"
+    path.write_bytes(recording.read_bytes()[:60] + bytes(300) + recording.read_bytes()[360:])
+    with pytest.raises(RecordingError, match=rf"eigenscan repair '{path}' saves"):
+        list(read(path))
+    path.write_bytes(b"#ROSBAG V2.0")
+    with pytest.raises(
+        RecordingError, match=rf"is a ROS 1 bag, .*: eigenscan import '{path}' makes one of it$"
+    ):
+        list(read(path))
+
+
 def test_a_stranger_decodes_every_message_with_the_file_alone(tmp_path: Path) -> None:
     path = tmp_path / "all.mcap"
     output = []

@@ -210,6 +210,18 @@ WIDE = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"
         ("time_s,angle_deg\n1,2\n", "line 1: no columns of ranges"),
         ("time_s,angle_deg,range_m\n1,2,3\n2,x,3\n", "line 3, column angle_deg: 'x'"),
         (WIDE + "1,0,1,4,\xff\x00\n", "line 2, column range_m_1"),
+        (
+            WIDE.replace("time_s", "time_s,x_m,y_m,heading_rad"),
+            "line 1: odometry needs x_m, y_m and heading_deg; lacks heading_deg, has heading_rad: convert",
+        ),
+        (WIDE.replace("time_s", "time_s,x_m,y_m,theta_deg"), "lacks heading_deg, has theta_deg: convert"),
+        (WIDE.replace("time_s", "time_s,x_mm,y_mm,heading_deg"), "lacks x_m, y_m, has x_mm, y_mm: convert"),
+        (WIDE.replace("time_s", "time_s,x_mm,y_mm,heading_rad"), "has x_mm, y_mm, heading_rad: convert"),
+        (WIDE.replace("time_s", "time_s,x_m,y_m"), "lacks heading_deg: add what is missing"),
+        (
+            WIDE.replace("time_s", "time_s,x_m,y_m,heading_deg") + "1,2,3,,0,1,4,5\n",
+            "line 2, column heading_deg: is empty",
+        ),
     ],
 )
 def test_what_is_wrong_is_named_by_line_and_column(tmp_path: Path, text: str, words: str) -> None:

@@ -96,6 +96,29 @@ def test_a_mount_of_a_lidar_that_is_not_there_is_reported(tmp_path: Path) -> Non
     assert not list(tmp_path.glob("*.mcap*"))
 
 
+def table_of(path: Path, metre: float) -> Path:
+    beams = range(40)
+    lines = ["time_s,angle_min_deg,angle_increment_deg," + ",".join(f"range_m_{j}" for j in beams)]
+    lines += [f"{time},0,1," + ",".join(str(metre * (1 + j / 20)) for j in beams) for time in (1, 2, 3)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_ranges_in_millimetres_are_refused(tmp_path: Path) -> None:
+    code, _, err = run(table_of(tmp_path / "a.csv", 1000.0), "-o", tmp_path / "a.mcap")
+    assert code == 2
+    assert "a.csv: lidar lidar: ranges must be metres" in err
+    assert "name the columns range_mm" in err
+    assert not list(tmp_path.glob("*.mcap*"))
+
+
+def test_a_log_without_odometry_is_reported_so(tmp_path: Path) -> None:
+    code, out, _ = run(table_of(tmp_path / "a.csv", 1.0), "-o", tmp_path / "a.mcap")
+    assert code == 0
+    assert "no odometry" in out
+    assert "no odometry" not in run(log_of(tmp_path / "b.clf"), "-o", tmp_path / "b.mcap")[1]
+
+
 def test_the_log_is_not_overwritten(tmp_path: Path) -> None:
     log = log_of(tmp_path / "a.mcap")
     code, _, err = run(log, "-o", log)

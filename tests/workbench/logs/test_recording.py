@@ -101,6 +101,36 @@ def test_a_damaged_recording_gives_what_comes_before(tmp_path: Path) -> None:
     assert log.counters["damaged_file"] == 1
 
 
+def test_the_remark_names_what_was_read_and_what_saves_the_rest(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])
+    data = bytearray(path.read_bytes())
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = sorted(index.chunk_start_offset for index in summary.chunk_indexes)[50]
+    data[chunk + 70 : chunk + 90] = bytes(20)
+    path.write_bytes(bytes(data))
+    log = open_log(path)
+    assert len(list(log.envelopes())) == 50
+    assert f"eigenscan repair {path} saves what can be read" in log.damage
+    assert log.damage.endswith("; only the first 25% of its messages were read")
+
+
+def test_damage_before_any_scan_is_the_error(tmp_path: Path) -> None:
+    health = Envelope(HEALTH, {"site": "site", "service": "tracker", "instance": "0"}, Health())
+    health.message.timestamp.FromNanoseconds(S)  # type: ignore[attr-defined]
+    path = record(tmp_path / "a.mcap", [health, *(scan(n) for n in range(2, 200))])
+    data = bytearray(path.read_bytes())
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = sorted(index.chunk_start_offset for index in summary.chunk_indexes)[1]
+    data[chunk + 70 : chunk + 90] = bytes(20)
+    path.write_bytes(bytes(data))
+    with pytest.raises(LogError, match=r"is damaged \(.*eigenscan repair .* only the first 1% of"):
+        keys(path)
+
+
 def test_damage_to_the_head_of_a_chunk_gives_what_comes_before(tmp_path: Path) -> None:
     """It then states sizes to which some file systems refuse to seek: ext4 ends at 2^44 bytes."""
     path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])

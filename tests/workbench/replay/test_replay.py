@@ -2,17 +2,20 @@
 
 import json
 import math
+import traceback
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from eigenscan.cli.process_replay import process_replay
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.plan import Plan
 from eigenscan.mapbuilder.regions import Division
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import build_site
+from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.recording import Record, read
 from eigenscan.schemas.channels import (
     ADVICE,
@@ -325,6 +328,19 @@ def test_what_a_recording_cannot_show_is_noted(run: Run, eigenscan: Command, tmp
     assert "note: tracker t was given other settings while it was recorded" in ended.out
 
 
+def test_a_clock_that_was_set_back_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+    """Indexed, the file is read in order of time."""
+    half = len(run.messages) // 2
+    moved = [replace(timed, time=timed.time - 3_600_000_000_000) for timed in run.messages[half:]]
+    path = run.write(tmp_path / "a.mcap", [*run.messages[:half], *moved])
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare")
+    at = max(timed.time for timed in run.messages[:half]) / 1e9
+    assert f"note: the recorder's clock was set back at {at:.3f}: read in order of time" in ended.out
+    assert "ran before the recording began" not in ended.out
+    ended = eigenscan("replay", run.write(path), "--service", "tracker", "--compare")
+    assert "set back" not in ended.out
+
+
 def test_what_the_recorder_missed_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
     count = len(only(run.messages, ODOMETRY))
     command = ("--service", "tracker", "--compare")
@@ -499,3 +515,25 @@ def test_a_core_that_fails_is_a_failure_without_a_comparison_too(
     assert ended.code == 1, ended.out
     assert "tracker 0 failed on" in ended.err
     assert "ArithmeticError" in ended.err
+    ended = eigenscan("replay", recording, "--service", "tracker", "--compare")
+    assert ended.code == 1, ended.out
+    assert "missing, 0 too many; tracker 0 failed on" in ended.err.splitlines()[-1]
+    assert "no answer" in ended.err.splitlines()[-1]
+    with pytest.raises(FailedError) as raised:
+        process_replay(
+            recording,
+            "tracker",
+            compare=True,
+            out=None,
+            model=None,
+            changes=(),
+            tolerant=False,
+            strict=False,
+            ignored=(),
+            least=10,
+            rrd=tmp_path / "a.rrd",
+            json_file=None,
+        )
+    cause = raised.value.__cause__
+    assert isinstance(cause, ArithmeticError)
+    assert traceback.extract_tb(cause.__traceback__)[-1].name == "fail"  # for --debug

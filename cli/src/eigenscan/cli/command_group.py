@@ -11,7 +11,7 @@ from typing import Any
 
 import typer
 from eigenscan.cli import paths
-from eigenscan.cli.entry import EXIT_STOPPED, STDOUT
+from eigenscan.cli.entry import EXIT_STOPPED, EXIT_UNREAD, STDOUT
 from eigenscan.cli.former import current
 from eigenscan.runtime.errors import FailedError, by_users, one_line
 from eigenscan.runtime.settings import nearest, plain
@@ -210,6 +210,11 @@ def lazy_group(
                     raise
                 typer.echo(f"eigenscan: {mistake}: see eigenscan --help", err=True)
                 raise typer.Exit(EXIT_USAGE) from None
+            except BrokenPipeError:
+                raise typer.Exit(EXIT_UNREAD) from None
+            except OSError as error:  # its help cannot be written
+                typer.echo(f"eigenscan: {one_line(error)}", err=True)
+                raise typer.Exit(EXIT_USAGE) from None
 
         def invoke(self, ctx: Any) -> Any:
             try:
@@ -223,7 +228,7 @@ def lazy_group(
                     typer.echo(f"{command}: ended by Ctrl-C{': ' if str(error) else ''}{error}", err=True)
                     raise typer.Exit(EXIT_STOPPED) from None
                 if isinstance(error, BrokenPipeError) and error.filename == STDOUT:
-                    raise typer.Exit(EXIT_FAILED) from None  # its reader, such as head, has what it wanted
+                    raise typer.Exit(EXIT_UNREAD) from None  # its reader, such as head, has what it wanted
                 described = _described(error, command, ctx.invoked_subcommand in commands)
                 if described is None:
                     raise

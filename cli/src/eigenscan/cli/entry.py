@@ -14,6 +14,8 @@ from contextlib import contextmanager, suppress
 STDOUT = "standard output"
 EXIT_STOPPED = 130
 """Exit code after Ctrl-C, as shells have it."""
+EXIT_UNREAD = 141
+"""Exit code where the reader of standard output ended first, as shells have it after SIGPIPE."""
 
 
 def main() -> None:

@@ -152,11 +152,11 @@ def evaluate(
         prepare(json_file)
         with Bars() as bars:
             figures = evaluate_claims(claims, bars)
-        write_figures(figures, json_file)
         if wants_words(json_file) and save_runs:
             typer.echo(f"{save_runs}: {len(figures['runs'])} runs")
         elif wants_words(json_file):
             show(figures, f"{poses} on {log}", console)
+        write_figures(figures, json_file)
         return
     task = Task(
         log=log,
@@ -178,7 +178,8 @@ def evaluate(
     with Bars() as bars:
         figures = run(task, bars)
     if figures["log"]["is_cut"]:
-        typer.echo(f"{log}: breaks off, or is damaged: judged as far as it can be read", err=True)
-    write_figures(figures, json_file)
+        how = figures["log"]["damage"] or f"{log}: breaks off, or is damaged: judged as far as it can be read"
+        typer.echo(how, err=True)
     if wants_words(json_file):
         show(figures, f"{log} on {map_file}", console)
+    write_figures(figures, json_file)

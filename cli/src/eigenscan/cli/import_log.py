@@ -121,6 +121,11 @@ def _write(log: Log, target: Path, mounts: Collection[str]) -> Summary:
             raise UsageError(
                 f"--mount {unknown[0]}=…: no lidar that is taken has this name: choose one of {there}"
             )
+        if summary.not_in_metres:
+            raise UsageError(
+                f"{log.path}: lidar {summary.not_in_metres[0]}: ranges must be metres, all are far above: "
+                "convert them (of a CSV in mm, name the columns range_mm), or take others with --lidar-topic"
+            )
     return summary
 
 

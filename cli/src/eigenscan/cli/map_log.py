@@ -90,6 +90,8 @@ def map_log(
     began = time.perf_counter()
     with Bars() as bars:
         scans = read_scans(log, options, bars.start_share("reading"), with_odometry=not no_odometry)
+        if scans.damage:
+            typer.echo(scans.damage, err=True)
         located = None
         try:
             if of is None:

@@ -75,13 +75,15 @@ def process_replay(
     write_figures(written | figures(outcome), json_file)
     if drawn and wordy:
         typer.echo(f"both sides: {target}")
+    failed = next((instance for instance in outcome.instances if instance.failure), None)
+    cause = failed.first_error if failed else None
     if differs:
-        raise FailedError(f"{file}: {summary(outcome)}")
+        why = f"; {failed.failure}" if failed else ""
+        raise FailedError(f"{file}: {summary(outcome)}{why}") from cause
     if compare and wordy:
         typer.echo(f"the same: {summary(outcome)}")
-    failures = [instance.failure for instance in outcome.instances if instance.failure]
-    if failures and not compare:  # a comparison may reproduce the failure of the night: that is the same
-        raise FailedError(f"{file}: {failures[0]}")
+    if failed and not compare:  # a comparison may reproduce the failure of the night: that is the same
+        raise FailedError(f"{file}: {failed.failure}") from cause
 
 
 def _fields(names: Sequence[str]) -> Iterator[str]:

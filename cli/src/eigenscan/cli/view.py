@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
+from shutil import disk_usage
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,6 +18,8 @@ if TYPE_CHECKING:
     from eigenscan.recorder.options import RecorderOptions
 
 HOST = "127.0.0.1"
+LEAST_FREE = 2**20
+"""Bytes that a disk has that is not full: Rerun writes more at a time."""
 
 
 def view(
@@ -86,6 +91,7 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
     """Draws the part of a recording between two moments, with a progress bar."""
     from eigenscan.recorder.rerun_sink import RerunSink
     from eigenscan.runtime.recording import contents, read
+    from eigenscan.runtime.whole import PART
     from eigenscan.workbench.progress import Bars
 
     found = contents(recording)
@@ -106,7 +112,10 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
                 sink.write(record.envelope)
                 moved(max(record.log_time - begin, 0) / max(end - begin, 1))
         sink.close()
-    except RuntimeError as error:  # rerun's, such as of a full disk
+    except RuntimeError as error:  # rerun's, which does not always name a full disk
+        if settings.rrd and disk_usage(settings.rrd.parent).free < LEAST_FREE:
+            written = str(settings.rrd).removesuffix(PART)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), written) from error
         raise FailedError(f"{settings.rrd}: {error}") from error
     if not found.complete:
         typer.echo(f"{recording}: its writer did not close it; drawn as far as it goes", err=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection
 from dataclasses import replace
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,7 +44,8 @@ _ROBOT = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT}
 class Localizer:
     """Localizes scans in one map: each alone (`localize`), or with all scans before it (`track`).
 
-    Use it from one thread at a time. One object serves lidars of any kind, but tracks one robot.
+    Use it from one thread at a time. One object serves lidars of any kind, but tracks one robot. A copy, such
+    as in another process, has the models and no tracks.
     """
 
     def __init__(self, site: SiteModel, method: str = "default") -> None:
@@ -65,6 +67,9 @@ class Localizer:
         self._projector_receives(site)
         self._tracker: TrackerCore | None = None
         self._newest: int | None = None
+
+    def __reduce__(self) -> tuple[type[Localizer], tuple[SiteModel, str]]:
+        return type(self), (self.site, self._method)
 
     def __repr__(self) -> str:
         regions, grid = self.site.regions, self.site.grid
@@ -89,6 +94,8 @@ class Localizer:
         both ValueError, that name the file, the field and the fix.
         """
         place = Path(path)
+        if metres_per_unit is not None:
+            _be_a_number(metres_per_unit, "metres_per_unit", "m")
         if place.is_dir():
             return cls(read_models(place), method)
         try:
@@ -125,6 +132,10 @@ class Localizer:
         another bad argument.
         """
         _be_a_scan(scan)
+        _be_a_number(radius, "radius", "m")
+        _be_a_number(turn, "turn", "rad")
+        _be_a_name(floor, "floor")
+        _be_a_name(region, "region")
         scan.canonical()
         asked = LocalizeQuery(scan=scan.raw(), radius=radius, turn=turn, floor=floor, region=region)
         if near is not None:
@@ -208,6 +219,18 @@ def _be_a_scan(scan: Scan) -> None:
             f"{type(scan).__name__} is no Scan: give Scan(ranges, angle_min, angle_increment, range_max), "
             "m and rad"
         )
+
+
+def _be_a_number(given: object, name: str, unit: str) -> None:
+    """Raises TypeError that names the argument."""
+    if not isinstance(given, Real):
+        raise TypeError(f"{name} = {given!r:.80}: give a number, {unit}")
+
+
+def _be_a_name(given: object, name: str) -> None:
+    """Raises TypeError that names the argument."""
+    if not isinstance(given, str):
+        raise TypeError(f"{name} = {given!r:.80}: give its name, a str")
 
 
 def _pose(given: ArrayLike, name: str) -> NDArray[np.float64]:

@@ -38,5 +38,7 @@ def read_log(
     for what, count in sorted(log.counters.items()):
         if count:
             warnings.warn(f"{path}: {what.replace('_', ' ')}: {count}", stacklevel=2)
+    if log.damage:
+        warnings.warn(log.damage, stacklevel=2)
     poses = odometry_at(steps, np.array([scan.timestamp.ToNanoseconds() for scan in scans], dtype=np.int64))
     return [(Scan.of(scan), pose) for scan, pose in zip(scans, poses, strict=True)]

@@ -14,7 +14,7 @@ from eigenscan.cli.launch.screen import StatusLine
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
 from eigenscan.cli.launch.supervision import SERVICES, Supervisor
 from eigenscan.fleet.view import FleetView, connect
-from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.errors import FailedError, UsageError
 from eigenscan.runtime.session import MEETING, open_session
 from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.schemas.channels import ALIVE_TEMPLATE
@@ -39,6 +39,15 @@ def attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool 
 
     Raises ChildDiedError if a service ends by itself.
     """
+    try:
+        _attend(pipeline, folder, events, to_stderr=to_stderr)
+    except FailedError as error:
+        events.write("ended", folder=str(folder), reason=str(error))
+        raise
+    events.write("ended", folder=str(folder), reason="asked to end")
+
+
+def _attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool) -> None:
     stop = StopEvent()
     with ExitStack() as stack:
         stack.callback(stop.close)
@@ -73,7 +82,6 @@ def attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool 
             advised = robot.advised if robot is not None else ""
             line.show(pose_text(newest, time.monotonic() - received_at, _lacking(view, own), advised))
             stop.wait(0.2)
-        events.write("ended", folder=str(folder))
         line.keep(f"ended; recording and logs are in {folder}")
 
 

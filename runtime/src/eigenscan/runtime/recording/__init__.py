@@ -2,6 +2,7 @@
 
 from eigenscan.runtime.recording.contents import (
     Contents,
+    clock_set_back,
     closed_span,
     contents,
     first_time,
@@ -22,6 +23,7 @@ __all__ = [
     "RecordingError",
     "RecordingWriter",
     "WholeReads",
+    "clock_set_back",
     "closed_span",
     "contents",
     "descriptors",

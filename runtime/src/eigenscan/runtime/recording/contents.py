@@ -10,6 +10,8 @@ from eigenscan.runtime.recording.files import is_indexed, messages, opened, part
 from eigenscan.schemas.channels import Channel, find
 from mcap.reader import make_reader
 
+STEP_NS = 1_000_000_000
+"""Log times in a file that go back by more show a clock that was set back, ns."""
 LAST = 2**64 - 1
 """The last log time that an MCAP can hold."""
 
@@ -90,6 +92,23 @@ def is_complete(path: Path) -> bool:
                 return False
             make_reader(file).get_summary()
     return True
+
+
+def clock_set_back(path: Path) -> int:
+    """Log time, ns, at which the recorder's clock was first set back within a file; 0: never.
+
+    Reads only the index, as a file without one is read in order of arrival. Raises RecordingError.
+    """
+    for part in parts(path):
+        with opened(part) as file:
+            summary = make_reader(file).get_summary() if is_indexed(file) else None
+        chunks = [index for index in summary.chunk_indexes if index.message_end_time] if summary else []
+        newest = 0
+        for index in sorted(chunks, key=lambda index: index.chunk_start_offset):
+            if index.message_start_time < newest - STEP_NS:
+                return max(newest, index.message_end_time)
+            newest = max(newest, index.message_end_time)
+    return 0
 
 
 def message_count(path: Path) -> int | None:

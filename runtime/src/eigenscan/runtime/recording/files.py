@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import struct
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -137,6 +138,8 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
             _refuse_others(path, file)
             refuse_bombs(file)
             yield file
+    except RecordingError:
+        raise
     except InvalidMagic as error:
         raise RecordingError(
             f"{path}: is no readable recording: no MCAP; eigenscan import makes one of a log"
@@ -145,7 +148,7 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}: check the path") from error
     except DAMAGE as error:
         raise RecordingError(
-            f"{path}: is damaged ({error}): eigenscan repair {path.name} saves what can be read"
+            f"{path}: is damaged ({error}): eigenscan repair {shlex.quote(str(path))} saves what can be read"
         ) from error
 
 
@@ -156,7 +159,8 @@ def _refuse_others(path: Path, file: IO[bytes]) -> None:
     for magic, name in _OTHER_LOGS.items():
         if start.startswith(magic):
             raise RecordingError(
-                f"{path}: is {name}, not a recording: eigenscan import {path.name} makes one of it"
+                f"{path}: is {name}, not a recording: "
+                f"eigenscan import {shlex.quote(str(path))} makes one of it"
             )
 
 

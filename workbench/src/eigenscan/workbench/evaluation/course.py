@@ -173,6 +173,7 @@ def _log_figures(log: Log) -> Figures:
         "lidars": log.lidars,
         "odometry": log.odometry,
         "is_cut": log.is_cut,
+        "damage": log.damage,
         "lidars_without_mount": log.without_mount,
         "span_s": float((log.scans.max() - log.scans.min()) / NS),
     }

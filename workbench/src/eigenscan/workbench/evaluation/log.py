@@ -37,6 +37,7 @@ class Log:
         logged: Mapping[int, int] | None = None,
         *,
         is_cut: bool = False,
+        damage: str = "",
         without_mount: int = 0,
     ) -> None:
         self._received = received
@@ -44,6 +45,8 @@ class Log:
         """Lidars without a mount: they are taken to be at the base's origin."""
         self.is_cut = is_cut
         """Whether the file breaks off, or is damaged from some place on."""
+        self.damage = damage
+        """What was not read of a recording, and what saves it."""
         self.logged = logged or {}
         """Stamp as logged, ns, of each scan that was given another one, by that one."""
         self._stamps = np.asarray([h.stamp for h in received], dtype=np.int64)
@@ -82,7 +85,9 @@ class Log:
     def outside(self, windows: Sequence[Window]) -> Log:
         """The log without these windows."""
         kept = [one for one in self._received if not any(window.holds(one.stamp) for window in windows)]
-        return Log(kept, self.logged, is_cut=self.is_cut, without_mount=self.without_mount)
+        return Log(
+            kept, self.logged, is_cut=self.is_cut, damage=self.damage, without_mount=self.without_mount
+        )
 
     def scan_stamps(self, window: Window) -> NDArray[np.int64]:
         """Stamps of the scans within a window, ns, increasing."""
@@ -117,4 +122,4 @@ def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) ->
     moved(1.0)
     is_cut = any(opened.counters[name] for name in ("truncated_file", "damaged_file"))
     without_mount = opened.counters["lidars_without_mount"]
-    return Log(received, opened.logged, is_cut=is_cut, without_mount=without_mount)
+    return Log(received, opened.logged, is_cut=is_cut, damage=opened.damage, without_mount=without_mount)

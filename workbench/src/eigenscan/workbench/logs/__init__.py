@@ -37,6 +37,8 @@ def _file(path: Path) -> Opener:
         return _ros2
     if start.startswith(b"\x89MCAP"):
         return _mcap
+    if path.name.endswith(".mcap.zstd"):
+        return _ros2_mcap
     from eigenscan.workbench.logs.carmen import CarmenLog, looks_like_carmen
     from eigenscan.workbench.logs.csv_table import CsvLog, looks_like_csv
 
@@ -54,6 +56,8 @@ def _file(path: Path) -> Opener:
 def _folder(path: Path) -> Opener:
     if any(path.glob("*.mcap")):
         return _mcap
+    if any(path.glob("*.mcap.zstd")):
+        return _ros2_mcap
     if any(path.glob("*.db3*")):
         return _ros2
     raise _unknown(path, "is a folder without a ROS 2 bag")

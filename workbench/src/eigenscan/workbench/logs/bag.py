@@ -10,6 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
+import zstandard
+from eigenscan.runtime.recording.files import refuse_bomb
+
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 ODOMETRY_MESSAGE = "nav_msgs/msg/Odometry"
@@ -82,7 +85,15 @@ def _plain_decoder(kind: str, ros1: bool) -> Decoder:
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))
         return lambda data: store.deserialize_ros1(data, kind)
     store = get_typestore(Stores.ROS2_HUMBLE)
-    return lambda data: store.deserialize_cdr(data, kind)
+    return lambda data: store.deserialize_cdr(_inflated(data), kind)
+
+
+def _inflated(data: bytes) -> bytes:
+    """A message of ROS 2, whose first byte is 0 unless it was recorded with --compression-mode message."""
+    if not data.startswith(zstandard.FRAME_HEADER):
+        return data
+    refuse_bomb(b"zstd", data, len(data), 0)
+    return zstandard.decompress(data)
 
 
 def decoded(

@@ -130,6 +130,7 @@ class CarmenLog:
         self.counters: Counter[str] = Counter()
         self.progress = 0.0
         self.logged: dict[int, int] = {}
+        self.damage = ""
         self._size = max(path.stat().st_size, 1)
 
     def envelopes(self) -> Iterator[Envelope]:

@@ -29,6 +29,12 @@ from numpy.typing import NDArray
 TIME, LIDAR = "time_s", "lidar"
 LINE_A_SCAN = ("angle_min_deg", "angle_increment_deg")
 ODOMETRY = ("x_m", "y_m", "heading_deg")
+OF_ODOMETRY = frozenset(
+    f"{name}_{unit}"
+    for name in ("x", "y", "heading", "theta", "yaw")
+    for unit in ("m", "cm", "mm", "deg", "rad")
+)
+"""Columns that are meant as odometry, in any unit."""
 LIMITS = ("range_min_m", "range_max_m")
 INCREMENT = "time_increment_s"
 ANGLES = {"angle_deg": 1.0, "angle_cw_deg": -1.0}
@@ -77,6 +83,7 @@ class _Columns:
         places = {name.strip(): place for place, name in enumerate(names)}
         if len(places) < len(names):
             raise LogError(f"{path}: line 1: two columns have the same name: give each its own")
+        _refuse_other_odometry(path, places)
         for name, unit in RANGES.items():
             beams = list[int]()
             while f"{name}_{len(beams)}" in places:
@@ -102,6 +109,18 @@ def _refuse_gaps(path: Path, places: Mapping[str, int], name: str, count: int) -
     numbers = [each[len(stem) :] for each in places if each.startswith(stem)]
     if later := [number for number in numbers if number.isdecimal() and int(number) > count]:
         raise LogError(f"{path}: line 1: has the column {stem}{later[0]} and lacks {stem}{count}")
+
+
+def _refuse_other_odometry(path: Path, places: Mapping[str, int]) -> None:
+    """Raises LogError where odometry has other columns or units: it would be left out."""
+    lacks = [name for name in ODOMETRY if name not in places]
+    found = [name for name in places if name in OF_ODOMETRY]
+    if found and lacks:
+        others = [name for name in found if name not in ODOMETRY]
+        instead = f", has {', '.join(others)}: convert and rename" if others else ": add what is missing"
+        raise LogError(
+            f"{path}: line 1: odometry needs x_m, y_m and heading_deg; lacks {', '.join(lacks)}{instead}"
+        )
 
 
 @dataclass(frozen=True)
@@ -166,6 +185,7 @@ class CsvLog:
     progress: float = 0.0
     counters: Counter[str] = field(default_factory=Counter)
     logged: dict[int, int] = field(default_factory=dict)
+    damage: str = ""
 
     def envelopes(self) -> Iterator[Envelope]:
         """SCAN_RAW and ODOMETRY by stamp. Raises LogError that names line and column."""
@@ -181,7 +201,7 @@ class CsvLog:
             if not abs(time) <= LATEST_S:
                 raise LogError(f"{self.path}: line {lines[0].number}, column {TIME}: {time:g} s is no time")
             stamp = round(time * 1e9)
-            moved = next((line for line in lines if all(map(line.text, ODOMETRY))), None)
+            moved = next((line for line in lines if any(map(line.text, ODOMETRY))), None)
             if moved is not None:
                 x, y, heading = (moved.value(name) for name in ODOMETRY)
                 yield odometry(self.options, stamp, (x, y, np.deg2rad(heading)))

@@ -57,6 +57,7 @@ class Log(Protocol):
     format: str
     counters: Counter[str]  # rejected while iterating, by reason
     logged: dict[int, int]  # ns, stamp as logged of each scan that was given another one, by that one
+    damage: str  # after iterating: what was not read of a recording, and what saves it; empty: all was
 
     @property
     def progress(self) -> float:

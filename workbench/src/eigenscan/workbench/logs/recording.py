@@ -7,7 +7,15 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from eigenscan.runtime.recording import Record, RecordingError, is_complete, parts, read, read_metadata
+from eigenscan.runtime.recording import (
+    Record,
+    RecordingError,
+    contents,
+    is_complete,
+    parts,
+    read,
+    read_metadata,
+)
 from eigenscan.schemas.channels import DEFAULT_ROBOT, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -27,6 +35,7 @@ class RecordingLog:
         self.counters: Counter[str] = Counter()
         self.progress = 0.0
         self.logged: dict[int, int] = {}
+        self.damage = ""
         self._imported = False
         self._size = max(sum(part.stat().st_size for part in parts(path)), 1)
 
@@ -34,6 +43,7 @@ class RecordingLog:
         """SCAN_RAW and ODOMETRY by stamp. Raises LogError if there is no scan, or several robots."""
         self.counters.clear()
         self.logged.clear()
+        self.damage = ""
         robot = self._robot()
         self._imported = self._is_import()
         yield from in_order(self._of(robot), RECORDER_LAG_NS, self.counters)
@@ -48,6 +58,8 @@ class RecordingLog:
             if record.envelope.channel == SCAN_RAW:
                 address = record.envelope.address
                 lidars.setdefault(address["robot"], set()).add(address["lidar"])
+        if not lidars and self.damage:
+            raise LogError(self.damage)
         if not lidars:
             raise LogError(f"{self.path}: holds no raw scan: record the channel {SCAN_RAW.template}")
         robot = self._options.robot
@@ -92,13 +104,19 @@ class RecordingLog:
                 yield Envelope(envelope.channel, {**envelope.address, **own}, envelope.message)
 
     def _records(self) -> Iterator[Record]:
-        """Records up to the first damage, which is counted. Raises LogError if there is none before it."""
-        given = False
+        """Records up to the first damage, which is described."""
+        count = 0
         try:
             for record in read(self.path):
-                given = True
+                count += 1
                 yield record
         except RecordingError as error:
-            if not given:
-                raise LogError(str(error)) from error
             self.counters["damaged_file"] = 1
+            self.damage = f"{error}{self._share(count)}"
+
+    def _share(self, count: int) -> str:
+        """How much of the recording so many messages are, as text; empty where that is unknown."""
+        with suppress(RecordingError):
+            whole = max(contents(self.path).counts.total(), 1)
+            return f"; only the first {min(count / whole, 1.0):.0%} of its messages were read"
+        return ""

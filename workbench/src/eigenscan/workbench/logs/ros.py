@@ -38,6 +38,7 @@ class RosLog:
         self.path, self.format = path, bag.format
         self.counters: Counter[str] = Counter()
         self.logged: dict[int, int] = {}
+        self.damage = ""
         self._options, self._bag = options, bag
         self._finished = False
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+import shutil
 import sqlite3
+import tempfile
+import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
+import zstandard
 from eigenscan.geometry.gridmap import MOST_NESTED, nesting
 from eigenscan.workbench.logs.bag import KINDS, BagMessage, Decoder, decoded, decoder, kind_of
 from eigenscan.workbench.logs.foxglove import FOXGLOVE
@@ -66,6 +70,10 @@ class Ros2Bag:
         import apsw
         from rosbags.rosbag2 import Reader, ReaderError
 
+        if self.path.is_dir() and not (self.path / "metadata.yaml").is_file():
+            self.counters["no_metadata"] += 1
+            yield from self._salvaged(topics)
+            return
         given = 0
         try:
             with Reader(self.path) as reader:
@@ -78,34 +86,42 @@ class Ros2Bag:
         except (*_REFUSED, ReaderError, apsw.Error):
             self.counters["truncated_file"] += 1
             if not given:
-                for file in self._files():
-                    yield from _salvage(file, topics)
+                yield from self._salvaged(topics)
+
+    def _salvaged(self, topics: Collection[str]) -> Iterator[tuple[str, str, int, bytes]]:
+        for file in self._files():
+            try:
+                yield from _salvage(file, topics)
+            except sqlite3.Error:
+                self.counters["truncated_file"] = 1
 
     def _files(self) -> list[Path]:
         return _parts(self.path, "*.db3")
 
 
-def _parts(path: Path, pattern: str) -> list[Path]:
+def _parts(path: Path, *patterns: str) -> list[Path]:
     """Files of a bag, part 9 before part 10."""
     if not path.is_dir():
         return [path]
-    return sorted(path.glob(pattern), key=lambda file: [int(n) for n in re.findall(r"\d+", file.name)])
+    files = [file for pattern in patterns for file in path.glob(pattern)]
+    return sorted(files, key=lambda file: [int(n) for n in re.findall(r"\d+", file.name)])
 
 
 def _query(path: Path, text: str) -> Iterator[tuple[Any, ...]]:
-    """Rows, up to the first damage."""
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as base:
-            # else a file that is shorter than its header states is refused as a whole
-            base.execute("PRAGMA writable_schema=ON")
-            yield from base.execute(text)
-    except sqlite3.Error:
-        return
+    """Rows. Raises sqlite3.Error at the first damage."""
+    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as base:
+        # else a file that is shorter than its header states is refused as a whole
+        base.execute("PRAGMA writable_schema=ON")
+        yield from base.execute(text)
 
 
 def _tables(path: Path) -> dict[int, tuple[str, str]]:
-    """Topic and type by id."""
-    return {number: (name, kind) for number, name, kind in _query(path, "SELECT id, name, type FROM topics")}
+    """Topic and type by id, of as many as can be read."""
+    found = {}
+    with suppress(sqlite3.Error):
+        for number, name, kind in _query(path, "SELECT id, name, type FROM topics"):
+            found[number] = name, kind
+    return found
 
 
 def _salvage(path: Path, topics: Collection[str]) -> Iterator[tuple[str, str, int, bytes]]:
@@ -132,7 +148,8 @@ class McapBag:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.counters: Counter[str] = Counter()
-        self._files = [McapFile(file, self.counters) for file in _parts(path, "*.mcap")]
+        whole = [_inflated(file, self) for file in _parts(path, "*.mcap", "*.mcap.zstd")]
+        self._files = [McapFile(file, self.counters) for file in whole]
 
     @property
     def progress(self) -> float:
@@ -153,6 +170,24 @@ class McapBag:
                 if found is not None:
                     time, data = message.log_time, message.data
                     yield from decoded(self.counters, channel.topic, time, data, found[1])
+
+
+def _inflated(file: Path, bag: McapBag) -> Path:
+    """The file, or what it holds if it was recorded with --compression-mode file; it goes with its bag."""
+    if file.suffix != ".zstd":
+        return file
+    folder = Path(tempfile.mkdtemp(prefix="eigenscan-"))
+    weakref.finalize(bag, shutil.rmtree, folder, ignore_errors=True)
+    whole = folder / file.stem
+    try:
+        # what comes before damage is read
+        with file.open("rb") as source, whole.open("wb") as target, suppress(zstandard.ZstdError):
+            zstandard.ZstdDecompressor().copy_stream(source, target)
+    except OSError as error:
+        raise LogError(
+            f"{file}: cannot be decompressed to {folder}: {error.strerror}: make room there, or use zstd -d"
+        ) from error
+    return whole
 
 
 def _understood(encoding: str, schema: str) -> tuple[str, Decoder] | None:

@@ -29,13 +29,14 @@ NS = 1_000_000_000
 class Scans:
     """The usable scans of a log. `received`: number of all scans; `reasons`: numbers of rejected ones.
 
-    `logged`: the logged stamp, ns, of each scan whose stamp was changed, by the new one.
+    `logged`: the logged stamp, ns, of each scan whose stamp was changed, by the new one. `damage`: as in Log.
     """
 
     sweeps: list[Sweep]
     received: int
     reasons: Mapping[str, int]
     logged: Mapping[int, int]
+    damage: str = ""
 
     @property
     def seconds(self) -> float:
@@ -104,7 +105,7 @@ def read_scans(
     stamps = np.array([nanoseconds(scan.timestamp) for scan in scans], dtype=np.int64)
     known = odometry_at(steps if with_odometry else (), stamps)
     sweeps = [_sweep(scan, place) for scan, place in zip(scans, known, strict=True)]
-    return Scans(sweeps, received, Counter(reasons), dict(opened.logged))
+    return Scans(sweeps, received, Counter(reasons), dict(opened.logged), opened.damage)
 
 
 def odometry_at(

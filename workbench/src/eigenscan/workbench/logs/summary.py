@@ -7,8 +7,10 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from eigenscan.geometry.message_floats import floats_of
+from eigenscan.ingest.watch import not_in_metres
 from eigenscan.runtime.printable import printable
-from eigenscan.schemas.channels import SCAN_RAW
+from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.workbench.logs.log import Log
@@ -17,6 +19,7 @@ from rich.table import Table
 
 HINTS = {
     "stamps_repaired": "by the order of the lines",
+    "no_metadata": "no metadata.yaml in the folder: read without it",
     "truncated_file": "what could be read was taken",
     "lidars_at_another_height": "a map shows one plane; take them with --lidar-topic",
     "scans_of_another_frame": "on a lidar's topic: let each lidar have its own",
@@ -35,6 +38,7 @@ class _Row:
     last: int = 0
     about: str = ""
     beams: Counter[int] = field(default_factory=Counter)
+    not_in_metres: int = 0
 
     @property
     def seconds(self) -> float:
@@ -56,6 +60,11 @@ class Summary:
         """Names of those that were received."""
         return sorted(name for name, row in self._rows.items() if row.beams)
 
+    @property
+    def not_in_metres(self) -> list[str]:
+        """Names of lidars all of whose scans have ranges that are rather millimetres."""
+        return sorted(name for name, row in self._rows.items() if row.not_in_metres == row.messages)
+
     def add(self, envelope: Envelope, time: int) -> None:
         """Takes note of a message with stamp `time`, ns."""
         name = envelope.address["lidar"] if envelope.channel is SCAN_RAW else envelope.channel.name
@@ -67,6 +76,7 @@ class Summary:
         if envelope.channel is SCAN_RAW:
             scan = envelope.open(RawScan)
             row.beams[len(scan.ranges)] += 1
+            row.not_in_metres += not_in_metres(floats_of(scan, "ranges"))
             row.about = _about(scan)
 
     def show(self, console: Console, log: Log, target: Path) -> None:
@@ -80,10 +90,14 @@ class Summary:
             beams = ", ".join(str(count) for count, _ in row.beams.most_common(3))
             table.add_row(name, str(row.messages), row.rate, f"{row.seconds:.1f}", beams, row.about)
         console.print(table)
+        if ODOMETRY.name not in self._rows:
+            console.print("no odometry")
         for what, count in sorted(log.counters.items()):
             if count:
                 hint = f" ({HINTS[what]})" if what in HINTS else ""
                 console.print(f"{what.replace('_', ' ')}: {count}{hint}", highlight=False)
+        if log.damage:
+            console.print(printable(log.damage), highlight=False, soft_wrap=True)
         console.print(
             f"wrote {printable(str(target))} ({target.stat().st_size / 1e6:.1f} MB)", highlight=False
         )
@@ -98,6 +112,7 @@ class Summary:
                 for name, row in sorted(self._rows.items())
             },
             "set_aside": {what: count for what, count in sorted(log.counters.items()) if count},
+            "damage": log.damage,
             "recording": str(target),
         }
 

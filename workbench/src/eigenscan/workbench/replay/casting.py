@@ -33,6 +33,7 @@ class Instance:
     settings: str
     """That it runs with, JSON."""
     faults: list[str] = field(default_factory=list)
+    first_error: Exception | None = None
     inputs: tuple[Channel, ...] = field(init=False)
     outputs: tuple[Channel, ...] = field(init=False)
 
@@ -50,6 +51,7 @@ class Instance:
         try:
             yield from self.core.handle(received)
         except Exception as error:
+            self.first_error = self.first_error or error
             self.faults.append(f"{type(error).__name__} on {received.key}: {error}")
 
     @property

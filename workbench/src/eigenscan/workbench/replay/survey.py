@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from eigenscan.runtime.errors import UsageError
-from eigenscan.runtime.recording import Record, is_complete, read, read_metadata
+from eigenscan.runtime.recording import Record, clock_set_back, is_complete, read, read_metadata
 from eigenscan.schemas.channels import HEALTH, HYPOTHESES, SCAN, TRACKS, Channel
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
@@ -54,6 +54,8 @@ class Survey:
     complete: bool
     settings: dict[str, str]
     """Settings of services, JSON by name, if the file holds them."""
+    set_back: int = 0
+    """Log time, ns, at which the recorder's clock was set back; 0: never."""
     begin: int = 0
     end: int = 0
     """Log times of its first and last message, ns."""
@@ -118,9 +120,13 @@ def survey(path: Path) -> Survey:
     complete = is_complete(path)
     metadata = read_metadata(path) if complete else {}
     settings = {name: entry["settings"] for name, entry in metadata.items() if "settings" in entry}
-    found = Survey(path, complete, settings)
+    found = Survey(path, complete, settings, clock_set_back(path))
     for record in read(path):
         found.take(record)
+    if found.set_back:  # both rest on the order of messages
+        found.remembered.clear()
+        for reported in found.reported.values():
+            reported.restarts = 0
     if not found.counts:
         why = "give a file that the recorder wrote" if complete else "it ends before the first whole chunk"
         raise UsageError(f"{path}: holds no message of ours: {why}")

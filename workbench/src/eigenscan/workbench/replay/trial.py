@@ -126,6 +126,11 @@ def _written(path: Path, settings: Mapping[str, str], events: Iterable[Event]) -
 def _of_the_file(survey: Survey) -> Iterator[str]:
     if not survey.complete:
         yield "its writer did not close it: replayed as far as it goes"
+    if survey.set_back:
+        yield (
+            f"the recorder's clock was set back at {survey.set_back / 1e9:.3f}: read in order of time, "
+            "not of arrival, and answers may differ for it"
+        )
 
 
 def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
