@@ -76,6 +76,14 @@ def test_odometry_that_ends_while_poses_come(make_core: MakeCore, speaker: Speak
     assert degraded(core) == ""
 
 
+def test_odometry_that_ended_before_the_first_scan(make_core: MakeCore, speaker: Speaker) -> None:
+    core = make_core()
+    for time in np.arange(0.0, 1.0, RATE_S):
+        list(core.handle(speaker.odometry(float(time), HERE)))
+    published_poses(core, lists(speaker, 3.0, 1.0))
+    assert "does its driver still run?" in degraded(core)
+
+
 def test_scans_of_a_clock_ahead_are_not_odometry_that_ended(make_core: MakeCore, speaker: Speaker) -> None:
     """Poses come without waiting, for the scans' stamps are 100 s ahead: odometry comes all the same."""
     core = make_core(patience=0.2)

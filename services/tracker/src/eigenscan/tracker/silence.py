@@ -160,7 +160,7 @@ class Silence:
         missing = self._gone_on_since(self._odometry)
         if missing <= SILENT_NS:
             return ""
-        if self._gone_on_since(self._advanced) <= SILENT_NS:
+        if self._advanced is not None and self._gone_on_since(self._advanced) <= SILENT_NS:
             return f"odometry stamps are {missing * 1e-9:.1f} s behind the scans: do their clocks differ?"
         return f"no odometry of the last {missing * 1e-9:.1f} s: does its driver still run?"
 
