@@ -36,7 +36,8 @@ def test_the_demo_has_a_viewer_on_a_terminal_only(
     clone: Path, arguments: list[str], on_terminal: bool, called: str
 ) -> None:
     ours, theirs = pty.openpty() if on_terminal else os.pipe()
-    subprocess.run(["make", "demo", *arguments], cwd=clone, stdout=theirs, check=True)
+    own = {name: value for name, value in os.environ.items() if "MAKE" not in name and name != "HEADLESS"}
+    subprocess.run(["make", "demo", *arguments], cwd=clone, stdout=theirs, env=own, check=True)
     printed = os.read(ours, 1000)
     os.close(ours)
     os.close(theirs)

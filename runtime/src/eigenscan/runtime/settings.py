@@ -269,8 +269,8 @@ def _environment(kind: type[ServiceSettings], service: str) -> dict[str, Given]:
             hint = gone(kind, rest.lower()) or f"unknown{nearest(rest, names, own)}"
             raise SettingsError(f"environment: {variable}: {hint}")
         for capitals in () if variable.startswith(own) else names:
-            service = variable.removesuffix(capitals)
-            if service != variable and difflib.get_close_matches(service, [own], cutoff=0.9):
+            stem = variable.removesuffix(capitals)
+            if stem not in (variable, "EIGENSCAN_") and difflib.get_close_matches(stem, [own], cutoff=0.9):
                 raise SettingsError(f"environment: {variable}: unknown, did you mean {own}{capitals}?")
     return found
 
