@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 import numpy as np
-from eigenscan.schemas.channels import HEALTH, HYPOTHESES, LATCHED_TEMPLATE
+from eigenscan.schemas.channels import HEALTH, HYPOTHESES, LATCHED_TEMPLATE, MODEL_SET
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.wire import encode
 from eigenscan.workbench.conformance.check import FAILED, PASSED, Check, check, skipped
 from eigenscan.workbench.conformance.receiving import alive_key
@@ -139,10 +140,13 @@ def _models(seen: Observed) -> Iterator[Check]:
         if one.channel is HYPOTHESES and isinstance(one.message, Hypotheses)
     ]
     problems = []
+    first = {one.open(ModelSet).version for one in seen.vectors.latched if one.channel is MODEL_SET}
     if not versions:
         problems.append(
             "no answer: the models that were published before its start did not come, or it has none"
         )
+    elif first.isdisjoint(versions):
+        problems.append("model_version of its answers is never that of the set published before its start")
     yield check(name, clause, problems, "has the models that were published before its start")
     changed = [] if versions and versions[-1] == seen.other_set else ["it does not go on with the newer set"]
     yield check(
