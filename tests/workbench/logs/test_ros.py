@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from eigenscan.geometry.pose import from_message, from_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -499,3 +500,10 @@ def test_random_damage_never_crashes(tmp_path: Path, container: str) -> None:
         assert stamps == sorted(stamps)
         read_some += bool(received)
     assert read_some > 2 or file.suffix == ".zstd"  # where a stream is damaged, all of it is lost
+
+
+def test_a_bag_that_would_fill_the_disk_is_refused(tmp_path: Path) -> None:
+    bomb = tmp_path / "a.mcap.zstd"
+    bomb.write_bytes(zstandard.compress(bytes(2**27)))
+    with pytest.raises(LogError, match=r"a\.mcap\.zstd: would become more than 67 MB"):
+        list(open_log(bomb).envelopes())

@@ -15,6 +15,7 @@ from typing import Any
 
 import zstandard
 from eigenscan.geometry.gridmap import MOST_NESTED, nesting
+from eigenscan.runtime.recording.files import MOST_CHUNK_BYTES, MOST_CHUNK_TIMES
 from eigenscan.workbench.logs.bag import KINDS, BagMessage, Decoder, decoded, decoder, kind_of
 from eigenscan.workbench.logs.foxglove import FOXGLOVE
 from eigenscan.workbench.logs.log import LogError
@@ -178,11 +179,14 @@ def _inflated(file: Path, bag: McapBag) -> Path:
         return file
     folder = Path(tempfile.mkdtemp(prefix="eigenscan-"))
     weakref.finalize(bag, shutil.rmtree, folder, ignore_errors=True)
-    whole = folder / file.stem
+    whole, most = folder / file.stem, max(MOST_CHUNK_BYTES, MOST_CHUNK_TIMES * file.stat().st_size)
     try:
         # what comes before damage is read
         with file.open("rb") as source, whole.open("wb") as target, suppress(zstandard.ZstdError):
-            zstandard.ZstdDecompressor().copy_stream(source, target)
+            for part in zstandard.ZstdDecompressor().read_to_iter(source):
+                if target.tell() + len(part) > most:
+                    raise LogError(f"{file}: would become more than {most / 1e6:.0f} MB: is it a recording?")
+                target.write(part)
     except OSError as error:
         raise LogError(
             f"{file}: cannot be decompressed to {folder}: {error.strerror}: make room there, or use zstd -d"
