@@ -478,6 +478,20 @@ def test_damaged_messages_are_counted(tmp_path: Path) -> None:
     assert len(scans["front"]) + len(scans["rear"]) + len(moved) + lost == 90
 
 
+def test_a_topic_whose_type_is_damaged_is_left_out(tmp_path: Path) -> None:
+    """SQLite keeps bytes in a column of text."""
+    path = usual(False).write(tmp_path / "a") / "a.db3"
+    (path.parent / "metadata.yaml").unlink()
+    import sqlite3
+
+    with sqlite3.connect(path) as base:
+        base.execute("UPDATE topics SET type = x'ff' WHERE name LIKE '%front%' OR name LIKE '%scan%'")
+        assert base.execute("SELECT COUNT(*) FROM topics WHERE typeof(type) = 'blob'").fetchone()[0]
+    base.close()
+    with pytest.raises(LogError, match="holds no laser scan"):
+        list(open_log(path).envelopes())
+
+
 @pytest.mark.parametrize("container", CONTAINERS)
 def test_random_damage_never_crashes(tmp_path: Path, container: str) -> None:
     ros1, write = CONTAINERS[container]

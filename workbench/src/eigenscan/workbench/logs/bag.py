@@ -52,9 +52,11 @@ class Bag(Protocol):
         ...
 
 
-def kind_of(name: str) -> str:
+def kind_of(name: object) -> str:
     """A type's name as ROS 2 writes it; the old tf/tfMessage is the same as tf2_msgs/TFMessage."""
-    package, _, message = (name or "").partition("/")  # a damaged bag may have none
+    if not isinstance(name, str):  # SQLite gives what damage made of it
+        return ""
+    package, _, message = name.partition("/")
     message = message.removeprefix("msg/")
     return TRANSFORMS if package == "tf" else f"{package}/msg/{message}"
 
