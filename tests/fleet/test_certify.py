@@ -292,6 +292,10 @@ def test_a_revoked_group_stays_revoked_until_its_owner_wants_a_new_certificate(f
     assert "groups.lab: is left out, for its certificate is revoked: delete the line" in done.stderr
     assert f"delete {old} and run: eigenscan fleet certify -o {folder}" in done.stderr
     assert (folder / "robots/r17/router.json5").read_text() != served  # its scans no longer leave it for lab
+    # a robot of its name could not be told from it
+    assert run("certify", "--robot", "lab", "-o", folder).exit_code == 2
+    refused = run("revoke", "lab", "-o", folder)
+    assert "choose one of r17, r18, mapbuilder" in refused.stderr
     old.unlink()
     done = run("certify", "-o", folder)
     assert done.exit_code == 0, done.stderr

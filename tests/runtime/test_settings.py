@@ -187,7 +187,10 @@ def test_a_bad_variable_is_named(
         assert part in str(error.value)
 
 
-@pytest.mark.parametrize("variable", ["EIGENSCAN_SCAN_SETS_BEAMS", "EIGENSCAN_PROBE_BEAMS", "EIGENSCAN_MAPS"])
+@pytest.mark.parametrize(
+    "variable",
+    ["OLD_EIGENSCAN_PROBE_SITE", "EIGENSCAN_SCAN_SETS_BEAMS", "EIGENSCAN_PROBE_BEAMS", "EIGENSCAN_MAPS"],
+)
 def test_what_other_programs_are_given_is_theirs(monkeypatch: pytest.MonkeyPatch, variable: str) -> None:
     monkeypatch.setenv(variable, "1")
     assert _load() == ProbeSettings()

@@ -267,6 +267,7 @@ def revoke(folder: Path, name: str) -> Path:
     read(folder)  # refuses a folder that is no fleet
     of_service = {role.value: own / f"{role.value}.crt" for role, own in services(folder).items()}
     of_service |= {name: folder / "groups" / name / "projector.crt" for name in read(folder).groups}
+    of_service = {each: path for each, path in of_service.items() if path.exists()}
     held = of_service.get(name, folder / "robots" / name / "robot.crt")
     if not held.exists():
         known = ", ".join([*robots(folder), *of_service])

@@ -263,7 +263,7 @@ def _environment(kind: type[ServiceSettings], service: str) -> dict[str, Given]:
         for capitals, name in names.items():
             if text := os.environ.get(prefix + capitals):
                 found[name] = Given(typed(kind, name, text), f"environment: {prefix}{capitals}")
-    for variable in os.environ:
+    for variable in filter(lambda each: each.startswith("EIGENSCAN_"), os.environ):
         rest = variable.removeprefix(own)
         if variable.startswith(own) and rest not in names:
             hint = gone(kind, rest.lower()) or f"unknown{nearest(rest, names, own)}"

@@ -118,6 +118,7 @@ def _refuse_other_odometry(path: Path, places: Mapping[str, int]) -> None:
     if found and lacks:
         others = [name for name in found if name not in ODOMETRY]
         instead = f", has {', '.join(others)}: convert and rename" if others else ": add what is missing"
+        instead += "; or, if it is no odometry, rename it"
         raise LogError(
             f"{path}: line 1: odometry needs x_m, y_m and heading_deg; lacks {', '.join(lacks)}{instead}"
         )
