@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 from eigenscan.geometry.pose import from_message
 from eigenscan.ingest.core import ScanIngestCore
-from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.runtime.choices import Choices
 from eigenscan.runtime.loopback import Loopback
@@ -214,7 +213,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], help="SERVICE.SETTING=VALUE, any number")
     parser.add_argument("--json", type=Path, help="write all figures here")
     options = parser.parse_args()
-    settings = chosen(Choices.of("default", None, options.set, SERVICES), MapbuilderSettings().spacing)
+    settings = chosen(Choices.of("default", None, options.set, SERVICES))
     print(
         f"{'log':<11}{'fault':<34}{'scans':>7}{'> 0.9':>7}{'> 0.99':>7}{'right':>7}{'level':>7}{'over':>5}"
         f"{'named':>11}{'3 s':>4}{'median':>8}  what health says"

@@ -53,7 +53,6 @@ CHOSEN_ON = ("intel", "guardian 3")
 """Logs that choices were made on; the others only judge."""
 LAST_SHARE = 1 / 3
 """Of a window, over which all claims must be right."""
-SPACING = 0.5
 QUICK_WINDOWS, QUICK_SCANS = 5, 40
 
 
@@ -102,7 +101,7 @@ def _options() -> argparse.Namespace:
     if options.quick:
         options.windows, options.scans = QUICK_WINDOWS, QUICK_SCANS
     asked = options.way or [""]
-    options.settings = chosen(Choices.of("default", None, options.set, SERVICES), SPACING)
+    options.settings = chosen(Choices.of("default", None, options.set, SERVICES))
     options.ways = [name for name in WAYS if any(part in name for part in asked)]
     return options
 

@@ -110,7 +110,7 @@ def record(
     chosen, (worse, truths) = thin(windows_of(case), count), worsened(case, way, seed)
     with tempfile.TemporaryDirectory() as scratch:
         write_map(worse.grid, Path(scratch) / "map.yaml")
-        models = build(Path(scratch) / "map.yaml", MapbuilderSettings(spacing=0.5), lambda _: None).models
+        models = build(Path(scratch) / "map.yaml", MapbuilderSettings(), lambda _: None).models
     projector = ProjectorCore(ProjectorSettings())
     for model in models:
         if model.channel in projector.inputs:

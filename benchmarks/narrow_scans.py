@@ -33,7 +33,7 @@ from eigenscan.workbench.evaluation.workers import Workers
 from eigenscan.workbench.logs import LogOptions
 from evaluate import CASES, DATASETS, wanted
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
-from maps import LAST_SHARE, SPACING
+from maps import LAST_SHARE
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def main() -> None:
     for case in wanted(CASES, options.only or ["jarvis"]):
         folder = options.datasets / case.folder
         log = read_log(folder / case.log, LogOptions(), lambda _: None)
-        models = build(folder / "map.yaml", MapbuilderSettings(spacing=SPACING), lambda _: None).models
+        models = build(folder / "map.yaml", MapbuilderSettings(), lambda _: None).models
         for eyes in EYES:
             rows.append(
                 {

@@ -101,15 +101,20 @@ def test_a_damaged_recording_gives_what_comes_before(tmp_path: Path) -> None:
     assert log.counters["damaged_file"] == 1
 
 
-def test_the_remark_names_what_was_read_and_what_saves_the_rest(tmp_path: Path) -> None:
-    path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])
+def damage_chunk(path: Path, number: int) -> None:
+    """Zeros within one chunk; what comes before it can be read."""
     data = bytearray(path.read_bytes())
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    chunk = sorted(index.chunk_start_offset for index in summary.chunk_indexes)[50]
+    chunk = sorted(index.chunk_start_offset for index in summary.chunk_indexes)[number]
     data[chunk + 70 : chunk + 90] = bytes(20)
     path.write_bytes(bytes(data))
+
+
+def test_the_remark_names_what_was_read_and_what_saves_the_rest(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [scan(n) for n in range(1, 200)])
+    damage_chunk(path, 50)
     log = open_log(path)
     assert len(list(log.envelopes())) == 50
     assert f"eigenscan repair {path} saves what can be read" in log.damage
@@ -120,13 +125,7 @@ def test_damage_before_any_scan_is_the_error(tmp_path: Path) -> None:
     health = Envelope(HEALTH, {"site": "site", "service": "tracker", "instance": "0"}, Health())
     health.message.timestamp.FromNanoseconds(S)  # type: ignore[attr-defined]
     path = record(tmp_path / "a.mcap", [health, *(scan(n) for n in range(2, 200))])
-    data = bytearray(path.read_bytes())
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    chunk = sorted(index.chunk_start_offset for index in summary.chunk_indexes)[1]
-    data[chunk + 70 : chunk + 90] = bytes(20)
-    path.write_bytes(bytes(data))
+    damage_chunk(path, 1)
     with pytest.raises(LogError, match=r"is damaged \(.*eigenscan repair .* only the first 1% of"):
         keys(path)
 

@@ -264,9 +264,9 @@ def revoke(folder: Path, name: str) -> Path:
 
     The local copy of its private key is deleted. Raises UsageError if `name` has no certificate.
     """
-    read(folder)  # refuses a folder that is no fleet
+    groups = read(folder).groups  # refuses a folder that is no fleet
     of_service = {role.value: own / f"{role.value}.crt" for role, own in services(folder).items()}
-    of_service |= {name: folder / "groups" / name / "projector.crt" for name in read(folder).groups}
+    of_service |= {each: folder / "groups" / each / "projector.crt" for each in groups}
     of_service = {each: path for each, path in of_service.items() if path.exists()}
     held = of_service.get(name, folder / "robots" / name / "robot.crt")
     if not held.exists():

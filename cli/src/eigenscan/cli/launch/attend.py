@@ -55,7 +55,7 @@ def _attend(pipeline: Pipeline, folder: Path, events: Events, *, to_stderr: bool
         line = stack.enter_context(StatusLine(to_stderr))
         session = _open(pipeline)
         view = stack.enter_context(FleetView(session, pipeline.site))
-        running, own = _running(session, pipeline.site), instance_name(pipeline.robot)
+        running, own = _running(session, pipeline), instance_name(pipeline.robot)
         _refuse_second(running, own, pipeline)
         _refuse_other_map(running, view, pipeline)
         supervisor = stack.enter_context(Supervisor(folder / "logs"))
@@ -97,17 +97,18 @@ def _where(pipeline: Pipeline) -> str:
     return str(pipeline.zenoh) if pipeline.zenoh else ", ".join([MEETING, *pipeline.listen])
 
 
-def _running(session: zenoh.Session, site: str) -> list[tuple[str, str]]:
-    """Names and instances of the services of a pipeline that run on a site."""
-    tokens = ALIVE_TEMPLATE.format(site=site, service="*", instance="*", contract="*")
+def _running(session: zenoh.Session, pipeline: Pipeline) -> list[tuple[str, str]]:
+    """Names and instances of the services that run on its site, of those that a pipeline starts."""
+    tokens = ALIVE_TEMPLATE.format(site=pipeline.site, service="*", instance="*", contract="*")
     replies = session.liveliness().get(tokens, timeout=ASK_S)
     keys = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok]
-    return sorted((key[2], key[3]) for key in keys if key[2] in SERVICES)
+    own = SERVICES.keys() & pipeline.services
+    return sorted((key[2], key[3]) for key in keys if key[2] in own)
 
 
 def _refuse_second(running: Sequence[tuple[str, str]], own: str, pipeline: Pipeline) -> None:
     """Two pipelines under one robot's name would publish two poses. Raises UsageError."""
-    names = [name for name, instance in running if instance == own and name in pipeline.services]
+    names = [name for name, instance in running if instance == own]
     if names:
         raise UsageError(
             f"--robot {pipeline.robot}: its {', '.join(names)} already run on site {pipeline.site!r}: "
@@ -118,11 +119,7 @@ def _refuse_second(running: Sequence[tuple[str, str]], own: str, pipeline: Pipel
 def _refuse_other_map(running: Sequence[tuple[str, str]], view: FleetView, pipeline: Pipeline) -> None:
     """A site has one map: another one would replace it under its other robots. Raises UsageError."""
     others = [instance for name, instance in running if name == "mapbuilder"]
-    if (
-        "mapbuilder" in pipeline.without
-        or not others
-        or not view.until(lambda: bool(view.map_version), ASK_S)
-    ):
+    if not others or not view.until(lambda: bool(view.map_version), ASK_S):
         return
     if pipeline.map_version != view.map_version:
         raise UsageError(
