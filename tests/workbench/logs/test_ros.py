@@ -521,3 +521,22 @@ def test_a_bag_that_would_fill_the_disk_is_refused(tmp_path: Path) -> None:
     bomb.write_bytes(zstandard.compress(bytes(2**27)))
     with pytest.raises(LogError, match=r"a\.mcap\.zstd: would become more than 67 MB"):
         list(open_log(bomb).envelopes())
+
+
+def test_a_compressed_bag_is_inflated_a_part_at_a_time_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "temp"
+    place.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(place))
+    folder = usual(ros1=False).write(tmp_path / "a", StoragePlugin.MCAP, "file")
+    (folder / "b.mcap.zstd").write_bytes((folder / "a.mcap.zstd").read_bytes())
+
+    def copies() -> int:
+        return sum(str(place) in str(each.resolve()) for each in Path("/proc/self/fd").iterdir())
+
+    most = 0
+    for _ in open_log(folder).envelopes():
+        most = max(most, copies())
+        assert list(place.iterdir()) == []  # else a killed process would leave its copies
+    assert (most, copies()) == (1, 0)

@@ -1,20 +1,23 @@
-"""Messages of any MCAP file: by its index, or front to back if it was cut."""
+"""Messages of any MCAP file: by its index, or front to back if it was cut; also of an .mcap.zstd."""
 
 from __future__ import annotations
 
+import os
 import struct
+import tempfile
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from eigenscan.runtime.recording.files import refuse_bombs
+from eigenscan.runtime.recording.files import MOST_CHUNK_BYTES, MOST_CHUNK_TIMES, refuse_bombs
 from eigenscan.workbench.logs.log import LogError
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema, Statistics
 from mcap.stream_reader import StreamReader
-from zstandard import ZstdError
+from zstandard import ZstdDecompressor, ZstdError
 
 Item = tuple[Schema | None, Channel, Message]
 DAMAGE = (
@@ -39,8 +42,9 @@ class McapFile:
         self.path, self.counters = path, counters
         self.progress = 0.0
         self.profile, self._indexed, self._total = "", False, 0
-        self._size = max(path.stat().st_size, 1)
-        with path.open("rb") as file:
+        with _opened(path) as file:
+            self._size = max(file.seek(0, os.SEEK_END), 1)
+            file.seek(0)
             try:
                 refuse_bombs(file)
             except ValueError as error:
@@ -79,7 +83,7 @@ class McapFile:
 
     def messages(self, topics: list[str] | None) -> Iterator[Item]:
         """Messages of `topics` (None: all)."""
-        with self.path.open("rb") as file:
+        with _opened(self.path) as file:
             try:
                 if self._indexed:
                     for number, item in enumerate(make_reader(file).iter_messages(topics=topics)):
@@ -103,3 +107,36 @@ class McapFile:
                 if topics is None or channel.topic in topics:
                     self.progress = file.tell() / self._size
                     yield schemas.get(channel.schema_id), channel, record
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[IO[bytes]]:
+    """The file, or a copy of what it holds if it was recorded with --compression-mode file.
+
+    The copy has no name, so it is gone even where the process is killed. Raises LogError.
+    """
+    if path.suffix != ".zstd":
+        with path.open("rb") as file:
+            yield file
+        return
+    with tempfile.TemporaryFile() as whole:
+        try:
+            _inflate(path, whole)
+        except OSError as error:
+            raise LogError(
+                f"{path}: cannot be decompressed to {tempfile.gettempdir()}: {error.strerror}: "
+                "make room there, or use zstd -d"
+            ) from error
+        whole.seek(0)
+        yield whole
+
+
+def _inflate(path: Path, whole: IO[bytes]) -> None:
+    most = max(MOST_CHUNK_BYTES, MOST_CHUNK_TIMES * path.stat().st_size)
+    # what comes before damage is read
+    with path.open("rb") as source, suppress(ZstdError):
+        for part in ZstdDecompressor().read_to_iter(source):
+            if whole.tell() + len(part) > most:
+                raise LogError(f"{path}: would become more than {most / 1e6:.0f} MB: is it a recording?")
+            whole.write(part)
+    whole.flush()

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import re
-import shutil
 import sqlite3
-import tempfile
-import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
-import zstandard
 from eigenscan.geometry.gridmap import MOST_NESTED, nesting
-from eigenscan.runtime.recording.files import MOST_CHUNK_BYTES, MOST_CHUNK_TIMES
 from eigenscan.workbench.logs.bag import KINDS, BagMessage, Decoder, decoded, decoder, kind_of
 from eigenscan.workbench.logs.foxglove import FOXGLOVE
 from eigenscan.workbench.logs.log import LogError
@@ -149,8 +144,7 @@ class McapBag:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.counters: Counter[str] = Counter()
-        whole = [_inflated(file, self) for file in _parts(path, "*.mcap", "*.mcap.zstd")]
-        self._files = [McapFile(file, self.counters) for file in whole]
+        self._files = [McapFile(file, self.counters) for file in _parts(path, "*.mcap", "*.mcap.zstd")]
 
     @property
     def progress(self) -> float:
@@ -171,27 +165,6 @@ class McapBag:
                 if found is not None:
                     time, data = message.log_time, message.data
                     yield from decoded(self.counters, channel.topic, time, data, found[1])
-
-
-def _inflated(file: Path, bag: McapBag) -> Path:
-    """The file, or what it holds if it was recorded with --compression-mode file; it goes with its bag."""
-    if file.suffix != ".zstd":
-        return file
-    folder = Path(tempfile.mkdtemp(prefix="eigenscan-"))
-    weakref.finalize(bag, shutil.rmtree, folder, ignore_errors=True)
-    whole, most = folder / file.stem, max(MOST_CHUNK_BYTES, MOST_CHUNK_TIMES * file.stat().st_size)
-    try:
-        # what comes before damage is read
-        with file.open("rb") as source, whole.open("wb") as target, suppress(zstandard.ZstdError):
-            for part in zstandard.ZstdDecompressor().read_to_iter(source):
-                if target.tell() + len(part) > most:
-                    raise LogError(f"{file}: would become more than {most / 1e6:.0f} MB: is it a recording?")
-                target.write(part)
-    except OSError as error:
-        raise LogError(
-            f"{file}: cannot be decompressed to {folder}: {error.strerror}: make room there, or use zstd -d"
-        ) from error
-    return whole
 
 
 def _understood(encoding: str, schema: str) -> tuple[str, Decoder] | None:
