@@ -19,6 +19,7 @@ from eigenscan.geometry.gridmap import OCCUPIED, GridMap, MapError, write_map
 from eigenscan.geometry.pose import compose, inverse
 from eigenscan.localize import Estimate, Localizer, Scan, ScanError, read_log
 from eigenscan.runtime.recording import RecordingWriter
+from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.workbench.simulation.lidar import Lidar
 from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.world import office
@@ -173,6 +174,7 @@ Sweep: Any = partial(Scan, angle_min=-1.57, angle_increment=0.0087, range_max=30
         (lambda _: Sweep([1.0], mount=(0.1, 0.0, 180.0)), ScanError, "mount's heading = 180: .* give rad"),
         (lambda _: Sweep([True]), ScanError, "no numbers in m: bool"),
         (lambda _: Sweep([1.0], time=np.inf), ScanError, "time = inf: give a number, finite, s"),
+        (lambda _: Sweep([1.0], lidar="front left"), ScanError, "lidar = 'front left': give its name"),
         (lambda _: Sweep([1.0], range_max="12"), ScanError, "range_max = '12': give a number, m"),
         (lambda _: Untyped.from_grid(STAGE.grid.cells), MapError, "ndarray is no GridMap"),
         (lambda _: Sweep([1.0], mount=(0.1, 0.0)), ScanError, "mount .* x, y and heading"),
@@ -274,6 +276,23 @@ def test_time_must_go_on(localizer: Localizer, drive: Path) -> None:
     localizer.track(scan, odometry)
     with pytest.raises(ScanError, match="time"):
         localizer.track(scan, odometry)
+
+
+def test_two_lidars_may_have_scans_of_one_stamp(localizer: Localizer, tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "two.mcap", {}) as writer:
+        for timed in STAGE.messages():
+            sent = timed.envelope
+            writer.write(sent, timed.time)
+            if sent.channel is SCAN_RAW:
+                writer.write(replace(sent, address={**sent.address, "lidar": "rear"}), timed.time)
+    drive = read_log(tmp_path / "two.mcap")
+    assert len({scan.lidar for scan, _ in drive}) == 2
+    assert len({scan.stamp for scan, _ in drive}) == len(drive) / 2
+    for scan, odometry in drive:
+        here = localizer.track(scan, odometry)
+    assert here.state == "localized"
+    with pytest.raises(ScanError, match="before that of another"):
+        localizer.track(replace(scan, lidar="third", time=scan.time - 0.1))
 
 
 def test_an_image_needs_a_scale(tmp_path: Path) -> None:

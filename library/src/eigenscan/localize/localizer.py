@@ -66,7 +66,8 @@ class Localizer:
         self._projector = ProjectorCore(settings)
         self._projector_receives(site)
         self._tracker: TrackerCore | None = None
-        self._newest: int | None = None
+        self._newest: dict[str, int] = {}
+        """Stamp of each lidar's latest scan, ns."""
 
     def __reduce__(self) -> tuple[type[Localizer], tuple[SiteModel, str]]:
         return type(self), (self.site, self._method)
@@ -146,7 +147,7 @@ class Localizer:
         return Hypotheses.of(published.open(LocalizeReply), scan)
 
     def track(self, scan: Scan, odometry: ArrayLike | None = None) -> Estimate:
-        """Tracks the robot with one more scan; `scan.time` must increase.
+        """Tracks the robot with one more scan; `scan.time` must increase, or be the same for another lidar.
 
         `odometry` (3,): the base in the odometry's own frame at the scan's time, m, m, rad. Without it, the
         robot may have moved anywhere within its greatest speed. Raises ScanError for a scan that cannot be
@@ -154,10 +155,13 @@ class Localizer:
         """
         _be_a_scan(scan)
         pose = None if odometry is None else _pose(odometry, "odometry")
-        if self._newest is not None and scan.stamp <= self._newest:
-            raise ScanError(f"time = {scan.time}: must be after that of the scan before")
+        if scan.stamp <= self._newest.get(scan.lidar, scan.stamp - 1):
+            fix = "name each of several lidars: Scan(..., lidar=NAME)"
+            raise ScanError(f"time = {scan.time}: must be after that of the scan before; {fix}")
+        if scan.stamp < max(self._newest.values(), default=scan.stamp):
+            raise ScanError(f"time = {scan.time}: must not be before that of another lidar's scan")
         found = self._answer(scan)
-        self._newest = scan.stamp
+        self._newest[scan.lidar] = scan.stamp
         tracker = self._tracker = self._tracker or _new_tracker(self._method, self.site)
         if pose is not None:
             message = Odometry(timestamp=stamp(scan.stamp), pose=to_pose3(pose))
@@ -177,7 +181,8 @@ class Localizer:
 
     def forget(self) -> None:
         """Forgets all tracks."""
-        self._tracker = self._newest = None
+        self._tracker = None
+        self._newest.clear()
 
     def plot(self, found: Hypotheses | None = None, axes: Axes | None = None) -> Axes:
         """Draws the map and `found`. Needs matplotlib: pip install 'eigenscan-localize[plot]'."""

@@ -21,24 +21,24 @@ def read_log(
 ) -> list[tuple[Scan, NDArray[np.float64] | None]]:
     """Scans in order of time, each with its odometry (3,), m, m, rad, or None if there is none.
 
-    Reads the formats of `eigenscan import`. `lidar`: topic or name, needed if there are several. Warns of
-    what it set aside. Raises LogError (a ValueError) if the log cannot be read. Needs pip install
+    Reads the formats of `eigenscan import`. `lidar`: topic or name of the one to read; default: all. Warns
+    of what it set aside. Raises LogError (a ValueError) if the log cannot be read. Needs pip install
     'eigenscan-localize[logs]'.
     """
     with needs("eigenscan-localize[logs]"):
         from eigenscan.workbench.logs import LogOptions, open_log
         from eigenscan.workbench.logs.scans import odometry_at
-    scans, steps = list[RawScan](), list[tuple[int, NDArray[np.float64]]]()
+    scans, steps = list[Scan](), list[tuple[int, NDArray[np.float64]]]()
     log = open_log(Path(path), LogOptions(lidars=(lidar,) if lidar else ()))
     for envelope in log.envelopes():
         if envelope.channel is ODOMETRY:
             steps.append((envelope.stamp, from_pose3(envelope.open(Odometry).pose)))
         elif envelope.channel is SCAN_RAW:
-            scans.append(envelope.open(RawScan))
+            scans.append(Scan.of(envelope.open(RawScan), envelope.address["lidar"]))
     for what, count in sorted(log.counters.items()):
         if count:
             warnings.warn(f"{path}: {what.replace('_', ' ')}: {count}", stacklevel=2)
     if log.damage:
         warnings.warn(log.damage, stacklevel=2)
-    poses = odometry_at(steps, np.array([scan.timestamp.ToNanoseconds() for scan in scans], dtype=np.int64))
-    return [(Scan.of(scan), pose) for scan, pose in zip(scans, poses, strict=True)]
+    poses = odometry_at(steps, np.array([scan.stamp for scan in scans], dtype=np.int64))
+    return list(zip(scans, poses, strict=True))

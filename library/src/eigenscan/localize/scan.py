@@ -12,7 +12,7 @@ from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.pose import to_message
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
-from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, SCAN_RAW
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, SCAN_RAW, is_chunk
 from eigenscan.schemas.envelope import LATEST_S, Envelope, nanoseconds, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
 from numpy.typing import ArrayLike, NDArray
@@ -34,7 +34,8 @@ class Scan:
     `ranges` (B,) in m; +inf, or `range_max` (0: not stated) and more: no return; NaN, 0, masked, or below
     `range_min`: missing.
     Angles in rad, counter-clockwise seen from above; an increment may be negative. `mount`: the sensor in
-    the robot's base frame, m, m, rad. `time` in s, only needed for tracking.
+    the robot's base frame, m, m, rad. `time` in s and the name `lidar`, of one of several, only count for
+    tracking.
     """
 
     ranges: ArrayLike
@@ -44,6 +45,7 @@ class Scan:
     range_min: float = 0.0
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
     time: float = 0.0
+    lidar: str = "lidar"
 
     def __post_init__(self) -> None:
         """Raises ScanError where a field has another shape, or is no number."""
@@ -56,6 +58,8 @@ class Scan:
                 raise ScanError(f"{name} = {value!r}: give a number, {_UNITS[name]}")
         if not all(isinstance(value, Real) for value in np.asarray(self.mount).tolist()):
             raise ScanError(f"mount = {self.mount!r}: give numbers, m, m, rad")
+        if not (isinstance(self.lidar, str) and is_chunk(self.lidar)):
+            raise ScanError(f"lidar = {self.lidar!r:.80}: give its name, a str without blanks or / * $ # ? @")
         if abs(self.time) > LATEST_S:
             raise ScanError(f"time = {self.time:g}: beyond the year 2096: give s, not ms or ns")
         for name, angle in (("angle_min", self.angle_min), ("mount's heading", self.mount[2])):
@@ -95,7 +99,7 @@ class Scan:
         return ranges
 
     @classmethod
-    def of(cls, raw: RawScan) -> Scan:
+    def of(cls, raw: RawScan, lidar: str = "lidar") -> Scan:
         """The same as the contract's message."""
         mount = raw.mount.x, raw.mount.y, raw.mount.theta
         turned = -1.0 if raw.upside_down else 1.0
@@ -107,6 +111,7 @@ class Scan:
             range_min=raw.range_min,
             mount=mount,
             time=nanoseconds(raw.timestamp) * 1e-9,
+            lidar=lidar,
         )
 
     @property
@@ -130,7 +135,7 @@ class Scan:
         """The scan as scan-ingest publishes it. Raises ScanError if it cannot be used."""
         raw = self.raw()
         ingest = ScanIngestCore(ScanIngestSettings())
-        address = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT, "lidar": "lidar"}
+        address = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT, "lidar": self.lidar}
         for published in ingest.handle(Envelope(SCAN_RAW, address, raw)):
             return published
         (reason,) = (name for name in ingest.condition().counters if name.startswith(_SET_ASIDE))
