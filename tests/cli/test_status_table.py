@@ -22,6 +22,9 @@ class View:
         self.expected: frozenset[str] = frozenset()
         self.robots = {"r1": Robot("r1", pose=pose, received_at=time.monotonic())}
 
+    def is_stranger(self, robot: str) -> bool:
+        return bool(self.expected) and robot not in self.expected
+
     def all_robots(self) -> list[str]:
         return sorted({*self.robots, *self.expected})
 
@@ -74,6 +77,17 @@ def test_advice_is_below_the_table_while_it_holds(state: State, age_s: float, sh
     (row,) = rows(view)  # type: ignore[arg-type]
     assert row["advice"] == (words if shown else "")
     assert (words in pose_text(robot.pose, 0.0, [], robot.advised)) == shown
+
+
+def test_a_robot_that_the_fleet_does_not_list_is_not_well() -> None:
+    view = View(PoseEstimate(state=STATE_LOCALIZED))
+    view.expected = frozenset({"r2"})
+    view.services = [Service("tracker", "r1", {"1"}, Health(status=Health.STATUS_OK))]
+    console = Console(width=200)
+    with console.capture() as shown:
+        console.print(table(view))  # type: ignore[arg-type]
+    assert "revoked or new" in shown.get()
+    assert [row["stranger"] for row in rows(view)] == [True, False]  # type: ignore[arg-type]
 
 
 def test_a_terminal_of_80_columns_shows_every_word() -> None:

@@ -53,6 +53,16 @@ def test_a_robot_of_which_nothing_is_there_is_one_fault() -> None:
     assert "nothing of it is there" in found.what
 
 
+def test_a_revoked_robot_that_is_still_heard_is_a_fault() -> None:
+    """Before the site's router has the new configuration, it was shown as any other."""
+    view = site(scan_ingest="no scan")
+    assert not view.is_stranger("r17")
+    view.listed = view.expected = frozenset({"r18"})
+    fixes = [each.mend for each in diagnose(view) if "revoked" in each.what and each.where == "robot r17"]
+    assert len(fixes) == 1
+    assert "site/router.json5" in fixes[0]
+
+
 def test_two_machines_under_one_name_are_a_fault_and_a_restart_is_none() -> None:
     """One robot's certificate on two machines was one healthy robot whose position jumped."""
     view = site(tracker="no scan")

@@ -64,7 +64,7 @@ def _of_the_site(site: str, zenoh: Path | None, robots: tuple[str, ...], seconds
     except NoRouterError as error:
         what, _, mend = str(error).partition(": ")
         return [Finding("router", what, mend)]
-    with FleetView(session, site, {*robots, *robots_in(zenoh)}) as view:
+    with FleetView(session, site, robots_in(zenoh), robots) as view:
         view.until(lambda: False, seconds)
         return diagnose(view)
 

@@ -135,6 +135,12 @@ def _of_missing_scans(view: FleetView, robot: str) -> Iterator[Finding]:
 
 def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
     where = f"robot {robot}"
+    if view.is_stranger(robot):
+        yield Finding(
+            where,
+            "is not of this fleet: revoked, or new",
+            "revoked: copy the fleet's site/router.json5 to the router; new: operator/operator.json5 to here",
+        )
     there: dict[str, list[Service]] = {name: [] for name in ROBOT_SERVICES}
     for service in view.serving(robot):
         if service.contracts:

@@ -193,11 +193,16 @@ class Robot:
 class FleetView:
     """Listens to a site; `update` takes the messages since the last call.
 
-    `expected`: robots that belong to it, whether or not they are there.
+    `listed`: all robots of its fleet, if known. `expected`: further ones that belong to it. Both may be away.
     """
 
-    def __init__(self, session: zenoh.Session, site: str, expected: Collection[str] = ()) -> None:
-        self.site, self.expected = site, frozenset(expected)
+    listed: frozenset[str] = frozenset()
+
+    def __init__(
+        self, session: zenoh.Session, site: str, listed: Collection[str] = (), expected: Collection[str] = ()
+    ) -> None:
+        self.site, self.listed = site, frozenset(listed)
+        self.expected = self.listed | frozenset(expected)
         self.robots: dict[str, Robot] = {}
         self.services: dict[tuple[str, str], Service] = {}
         self.map_version = ""
@@ -311,6 +316,10 @@ class FleetView:
     def all_robots(self) -> list[str]:
         """These, and those that belong to the site and are not there."""
         return sorted({*self.robot_names(), *self.expected})
+
+    def is_stranger(self, robot: str) -> bool:
+        """Whether a robot is not of the fleet: its certificate is revoked, or newer than our list."""
+        return bool(self.listed) and robot not in self.expected
 
     def health(self, name: str, instance: str | None = None) -> Health | None:
         """The newest word of a service of that name on itself; of one instance of it, if that is named."""

@@ -32,5 +32,10 @@ def revoke(
         "any other must be restarted",
         err=True,
     )
+    listed = folder / "operator" / "operator.json5"
+    if listed.exists():
+        typer.echo(
+            f"copy {listed} to the operator's machine, where doctor misses the robot otherwise", err=True
+        )
     for line in layout.left_out(folder):
         typer.echo(line, err=True)

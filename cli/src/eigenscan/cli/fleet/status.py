@@ -78,6 +78,7 @@ def _row(view: FleetView, name: str, now: float) -> dict[str, Any]:
     serving = [service for service in view.serving(name) if service.contracts]
     row: dict[str, Any] = {
         "robot": name,
+        "stranger": view.is_stranger(name),
         "state": "unknown",
         "confidence": None,
         "x": None,
@@ -168,7 +169,8 @@ def _health(row: dict[str, Any]) -> str:
 
     if not row["services"]:
         return "[red]not there[/]"
-    troubles = [f"[red]no {name}[/]" for name in ROBOT_SERVICES if name not in row["services"]]
+    troubles = ["[red]revoked or new[/]"] if row["stranger"] else []
+    troubles += [f"[red]no {name}[/]" for name in ROBOT_SERVICES if name not in row["services"]]
     troubles += [f"[yellow]{name} {word}[/]" for name, word in row["services"].items() if word != "ok"]
     troubles += [f"[red]{name} twice[/]" for name in row["twice"]]
     if row["drops"]:
