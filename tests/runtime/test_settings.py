@@ -134,9 +134,15 @@ def test_a_bad_flag_is_named_with_what_would_do(arguments: list[str], parts: lis
         ("scan-probe = 1", ["robot.toml: scan-probe: must be a table"]),
         ("site = 1", ["robot.toml: site = 1", "string"]),
         ("site = true", ["robot.toml: site = True", "string"]),
-        ("[scan-probe]\nbeams = true", ["robot.toml: [scan-probe] beams: must be a number, not true"]),
-        ("[scan-probe]\nspacing = true", ["robot.toml: [scan-probe] spacing: must be a number, not true"]),
-        ("[scan-probe]\nlimits = [0.1, true]", ["robot.toml: [scan-probe] limits.1: must be a number"]),
+        ("[scan-probe]\nbeams = true", ["robot.toml: [scan-probe] beams = True: must be a number, not true"]),
+        (
+            "[scan-probe]\nspacing = true",
+            ["robot.toml: [scan-probe] spacing = True: must be a number"],
+        ),
+        (
+            "[scan-probe]\nlimits = [0.1, true]",
+            ["robot.toml: [scan-probe] limits = [0.1, True]: must be"],
+        ),
         ("[scan-probe]\nv_max = 2.0", ["robot.toml: [scan-probe] v_max: unknown: docs/settings.md has"]),
     ],
 )

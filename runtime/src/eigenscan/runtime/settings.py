@@ -17,7 +17,7 @@ import sys
 import tomllib
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,6 +25,7 @@ from typing import Any, TypeVar
 from eigenscan.runtime.printable import shortened
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
 from eigenscan.schemas.group import EVERY, chunk_of, instance_name, patterns
+from eigenscan.schemas.settings import Settings
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
@@ -47,13 +48,13 @@ class SettingsError(ValueError):
     """Invalid settings; the message names the source, the field and the fix."""
 
 
-class ServiceSettings(BaseModel):
+class ServiceSettings(Settings):
     """Settings that every service has: how its process runs.
 
     A service's options derive from this class and from its core's settings, which change its answers.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="strings")
+    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     site: str = Field(DEFAULT_SITE, description="name of the site; the first part of every key")
     robot: str = Field(
@@ -163,29 +164,11 @@ def validated(kind: type[M], given: Mapping[str, Given]) -> M:
     """Checks values by `kind`. Raises SettingsError that names the source, the field and what is accepted."""
     values = {name: entry.value for name, entry in given.items()}
     try:
-        found = kind.model_validate(values)
+        return kind.model_validate(values)
     except ValidationError as error:
         # a default that derives from a bad value fails too: report only the bad value
         faults = [each for each in error.errors() if each["type"] != "default_factory_not_called"]
         raise SettingsError("; ".join(_explain(fault, given) for fault in faults)) from error
-    for field, *inner in _truth_as_number(values, found.model_dump()):
-        place = ".".join([given[field].place, *inner])
-        raise SettingsError(f"{place}: must be a number, not true or false")
-    return found
-
-
-def _truth_as_number(given: Any, taken: Any) -> Iterator[tuple[str, ...]]:
-    """Where pydantic took true or false for a number: the way to each, through tables and lists."""
-    if isinstance(given, dict) and isinstance(taken, dict):
-        pairs = [(str(name), value, taken[name]) for name, value in given.items()]
-    elif isinstance(given, list) and isinstance(taken, (list, tuple)):
-        pairs = [(str(number), *each) for number, each in enumerate(zip(given, taken, strict=True))]
-    else:
-        pairs = []
-        if isinstance(given, bool) and isinstance(taken, (int, float)) and not isinstance(taken, bool):
-            yield ()
-    for name, *pair in pairs:
-        yield from ((name, *rest) for rest in _truth_as_number(*pair))
 
 
 def _explain(problem: ErrorDetails, given: Mapping[str, Given]) -> str:

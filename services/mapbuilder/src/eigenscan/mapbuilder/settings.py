@@ -6,16 +6,16 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from eigenscan.schemas.settings import Settings
+from pydantic import Field
 
 if TYPE_CHECKING:
     from eigenscan.mapbuilder.site import Plan
 
 
-class MapbuilderSettings(BaseModel):
+class MapbuilderSettings(Settings):
     """Settings of mapbuilder: a map in, eigenspace models out."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     gone: ClassVar[Mapping[str, str]] = {
         "share": "components is how many are kept; their share of the variance follows"
     }

@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from typing import ClassVar, Literal, get_args
 
 from eigenscan.projector.association import kinds
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from eigenscan.schemas.settings import Settings
+from pydantic import Field, field_validator
 
 PART = r"[1-9]\d*/[1-9]\d*"
 """Form of `part`."""
 
 
-class ProjectorSettings(BaseModel):
+class ProjectorSettings(Settings):
     """Candidate poses and obstacles from one scan, by the eigenspaces of the site's regions."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     gone: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("embedding", "range_cap", "components"),
         "the models decide it: set it for the mapbuilder, or as an option of eigenscan build",

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import re
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from eigenscan.schemas.settings import Settings
+from pydantic import Field, field_validator, model_validator
 
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*")
 
 
-class RosBridgeSettings(BaseModel):
+class RosBridgeSettings(Settings):
     """Settings of ros-bridge: a robot's ROS 2 topics in, AMCL's out, without ROS."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     namespace: str = Field("", description="ROS namespace of all topics without a leading slash")
     scan: list[str] = Field(

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from eigenscan.schemas.settings import Settings
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 EVERY_LIDAR = "*"
 FARTHEST_M = 20.0
 """m from the base's origin along an axis, at most: no vehicle indoors is as long."""
 
 
-class Mount(BaseModel):
+class Mount(Settings):
     """Mount of a lidar on its robot."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(allow_inf_nan=False)
 
     x: float = Field(0.0, description="m ahead of the base's origin")
     y: float = Field(0.0, description="m to the left of it")
@@ -27,10 +28,8 @@ class Mount(BaseModel):
         return value
 
 
-class ScanIngestSettings(BaseModel):
+class ScanIngestSettings(Settings):
     """Settings of scan-ingest: any lidar frame in, one canonical scan out."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     base_frame: str = Field("base_link", description="name of the robot's base frame in published scans")
     angle_step: float | None = Field(

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from eigenscan.schemas.settings import Settings
+from pydantic import Field, model_validator
 
 
-class TrackerSettings(BaseModel):
+class TrackerSettings(Settings):
     """Settings of the tracker. The defaults suit indoor robots up to 2 m/s."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     method: Literal["mixture", "paper"] = Field(
         "mixture",

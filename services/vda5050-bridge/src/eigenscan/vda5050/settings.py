@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from eigenscan.schemas.settings import Settings
+from pydantic import Field, field_validator
 
 SERIAL_NUMBER = re.compile(r"[A-Za-z0-9_.:-]+")
 """Characters that the standard allows."""
@@ -14,10 +15,8 @@ _TOPIC_LEVEL = re.compile(r"[^/+#$\s]+")
 Version = Literal["2.1.0", "3.0.0"]
 
 
-class Vda5050Settings(BaseModel):
+class Vda5050Settings(Settings):
     """Settings of vda5050-bridge: a robot's pose for fleet managers that speak VDA 5050."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     version: Version = Field("3.0.0", description="of VDA 5050: 2.1.0 or 3.0.0")
     manufacturer: str = Field("eigenscan", description="the robot's manufacturer")
