@@ -53,7 +53,7 @@ def test_a_robot_of_which_nothing_is_there_is_one_fault() -> None:
     assert "nothing of it is there" in found.what
 
 
-def test_a_revoked_robot_that_is_still_heard_is_a_fault() -> None:
+def test_a_revoked_robot_that_is_still_received_is_a_fault() -> None:
     """Before the site's router has the new configuration, it was shown as any other."""
     view = site(scan_ingest="no scan")
     assert not view.is_stranger("r17")

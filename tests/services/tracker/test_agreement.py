@@ -406,7 +406,8 @@ def test_map_to_odom_ends_with_the_claim(make_core: MakeCore, speaker: Speaker, 
         output.append(transforms(13.0 + 0.1 * step))
     assert output[20] == 1
     assert output[-1] == 0
-    assert 2.0 < 0.1 * sum(output) < 12.0
+    assert 8.0 < 0.1 * sum(output) < 12.0  # docs/contract.md states it
+    assert core.condition().status == Health.STATUS_OK  # and that this does not show
 
 
 def test_map_to_odom_is_not_reported_while_lost(
