@@ -168,6 +168,21 @@ def test_both_sides_of_a_difference_are_drawn_on_the_map(
     assert set(apart.values()) == {0.0}
 
 
+@pytest.mark.parametrize("target", ["/dev/full", "/proc/a.rrd"])
+def test_a_picture_that_cannot_be_written_takes_nothing_from_the_verdict(
+    run: Run, eigenscan: Command, tmp_path: Path, target: str
+) -> None:
+    pose = only(run.messages, POSE)[40]
+    x = pose.envelope.open(PoseEstimate).pose.x
+    path = run.write(tmp_path / "a.mcap", swap(run.messages, pose, with_message(pose, pose__x=x + 2.0)))
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare", "--rrd", target)
+    assert ended.code == 1
+    assert "first difference: pose" in ended.out
+    assert "both sides" not in ended.out
+    assert f"no picture: {target}: " in ended.err
+    assert "pose: 1 different, 0 missing, 0 too many" in ended.err
+
+
 def test_what_is_the_same_leaves_no_picture(recording: Path, eigenscan: Command, tmp_path: Path) -> None:
     picture = tmp_path / "b.rrd"
     ended = eigenscan("replay", recording, "--service", "tracker", "--compare", "--rrd", picture)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 from eigenscan.cli.figures import wants_words, write_figures
-from eigenscan.runtime.errors import FailedError, UsageError
+from eigenscan.runtime.errors import FailedError, UsageError, one_line
 
 if TYPE_CHECKING:
     from eigenscan.schemas.envelope import Envelope
@@ -66,7 +66,11 @@ def process_replay(
         typer.echo(report(outcome))
     differs = compare and bool(outcome.comparison.problems)
     target = rrd or picture_beside(file, service)
-    drawn = differs and picture(trial, outcome, report(outcome), target)
+    try:
+        drawn = differs and picture(trial, outcome, report(outcome), target)
+    except OSError as error:  # the verdict holds without it
+        drawn = False
+        typer.echo(f"no picture: {one_line(error)}", err=True)
     written = {
         "recording": str(file),
         "result": ("different" if differs else "same") if compare else None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
@@ -80,8 +81,9 @@ def judge(recording: Path, plan: Plan) -> Iterator[Case]:
         result = DIFFERENT if outcome.comparison.problems else PASSED
         made = f"\nreference made with {kept.made_with}" if kept else ""
         text, target = report(outcome) + made, picture_beside(recording, choice)
-        if result == DIFFERENT and picture(trial, outcome, text, target):
-            text += f"\nboth sides: {target}"
+        with suppress(OSError):  # where it cannot be written, the verdict holds without it
+            if result == DIFFERENT and picture(trial, outcome, text, target):
+                text += f"\nboth sides: {target}"
         yield Case(recording, choice, result, summary(outcome), text, outcome.took_s)
 
 

@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from errno import EIO
 from pathlib import Path
 
 from eigenscan.runtime.recording import RecordingWriter
@@ -82,7 +83,7 @@ def picture_beside(recording: Path, choice: str) -> Path:
 def picture(trial: Trial, outcome: Outcome, report: str, target: Path) -> bool:
     """Draws both sides around the first difference into a Rerun file, by a second replay.
 
-    False if there is no difference, or if `target` cannot be written.
+    False if there is no difference. Raises OSError if `target` cannot be written.
     """
     first, survey = outcome.comparison.first, outcome.survey
     if first is None:
@@ -93,8 +94,8 @@ def picture(trial: Trial, outcome: Outcome, report: str, target: Path) -> bool:
     events = _events(trial, survey, instances, lambda _time: None)
     try:
         draw(target, events, trial.models or survey.latched.values(), first.stamp, report)
-    except OSError:
-        return False
+    except RuntimeError as error:  # Rerun's, of a full disk
+        raise OSError(EIO, str(error), str(target)) from error
     return True
 
 
