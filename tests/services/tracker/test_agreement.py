@@ -348,7 +348,24 @@ def test_odometry_of_two_robots_is_not_localized(
         list(core.handle(speaker.odometry(time, np.array([8.0 * (scan % 2), 0.0, 0.0]))))
         output = poses_of(core.handle(speaker.hypotheses(time, [np.array([2.0, 3.0, 0.0])], [17.0])))
     assert output[-1].state != STATE_LOCALIZED
-    assert "two robots" in core.condition().detail
+    assert "of two robots" in core.condition().detail
+
+
+@pytest.mark.parametrize("unit", [pi / 180, 180 / pi])
+def test_a_heading_in_another_unit_is_not_blamed_on_the_mount_alone(
+    make_core: MakeCore, speaker: Speaker, unit: float
+) -> None:
+    core, truth, reported = make_core(), np.array([2.0, 3.0, 0.0]), np.zeros(3)
+    rng, step = np.random.default_rng(1), np.array(STEP)
+    for scan in range(150):
+        time = 10.0 + 0.1 * scan
+        list(core.handle(speaker.odometry(time, reported * (1.0, 1.0, unit))))
+        if scan:
+            list(core.handle(motion(time, time - 0.1, (step[0], step[1], step[2]))))
+        list(core.handle(speaker.hypotheses(time, [truth], [17.0])))
+        step = np.array([0.08, 0.0, rng.normal(0.0, 0.1) if scan % 10 == 0 else step[2]])
+        truth, reported = compose(truth, step), compose(reported, step)
+    assert "radians" in core.condition().detail
 
 
 def test_one_jump_of_odometry_is_named_at_once_and_for_a_while(

@@ -120,7 +120,7 @@ class Agreement:
     def fault(self) -> str:
         """Why odometry and scans rather do not agree, or did not lately; empty while they do."""
         if self.two_robots:
-            return "odometry jumps again and again: is it in metres, or do two robots use this name?"
+            return "odometry jumps again and again: is it in metres and radians, or of two robots?"
         present = list(self._lidars.present())
         for name, lidar in present:
             if fault := lidar.faults.fault:

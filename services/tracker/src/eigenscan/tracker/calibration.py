@@ -54,7 +54,10 @@ several in a row, from which what was found no longer holds (CUSUM; Page, "Conti
 Biometrika 1954). Wheels have slipped. `eigenscan simtest` draws such slips.
 """
 
-TURNED = "scans move {}° off odometry's way: is the lidar's mount turned by as much?"
+TURNED = (
+    "scans move {}° off odometry's way: is the lidar's mount turned by as much, "
+    "or odometry's heading not in radians?"
+)
 AWAY = (
     "in turns scans move like those of a lidar {:.1f} m away from this one's mount: is it measured rightly?"
 )

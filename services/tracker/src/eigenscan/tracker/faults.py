@@ -79,8 +79,8 @@ QUIET_M, QUIET_RAD = 0.005, 0.005
 """Odometry with less motion in an interval stands."""
 
 UNKNOWN = (
-    "odometry and scans show different motions: do wheels slip, are stamps of two clocks, "
-    "or are the scans of another robot?"
+    "odometry and scans show different motions: do wheels slip, is its heading not in radians, "
+    "are stamps of two clocks, or are the scans of another robot?"
 )
 WITHOUT_SIGN = "odometry counts driving backwards as forwards (encoders without a sign); made up for"
 
