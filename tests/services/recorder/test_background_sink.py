@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 import pytest
 from eigenscan.recorder.background_sink import WAITING, BackgroundSink
-from eigenscan.recorder.core import RecorderCore
+from eigenscan.recorder.core import RecorderCore, Sink
 from eigenscan.schemas.channels import MAP, POSE
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
@@ -17,7 +17,7 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 ADDRESS = {"site": "s", "robot": "r"}
 
 
-class Slow:
+class Slow(Sink):
     """A sink that writes only when it is let, and fails on request."""
 
     def __init__(self, fails_on: Callable[[Envelope], bool] = lambda received: False) -> None:
@@ -26,7 +26,7 @@ class Slow:
         self.closed = False
         self._fails_on = fails_on
 
-    problem = ""
+    remark = "drawn late"
     counters: Mapping[str, int] = {"drawn": 7}
 
     def write(self, received: Envelope) -> None:
@@ -35,9 +35,6 @@ class Slow:
         if self._fails_on(received):
             raise ValueError("undrawable")
         self.written.append(received)
-
-    def tick(self) -> None:
-        pass
 
     def close(self) -> None:
         self.closed = True
@@ -129,3 +126,10 @@ def test_what_two_sinks_lose_adds_up(patient: None) -> None:
     await_that(lambda: sinks[0].counters["undrawable"] == 3 and len(good.written) == 3)
     list(core.finish())
     assert core.condition().counters == {"drawn": 14, "undrawn": 0, "undrawable": 3}
+
+
+def test_health_has_each_sinks_own_remark() -> None:
+    """The core once knew the counter of one sink."""
+    one, other = Slow(), BackgroundSink(Slow())
+    assert RecorderCore([one, other]).condition().detail == "drawn late; drawn late"
+    other.close()

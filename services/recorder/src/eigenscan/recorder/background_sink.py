@@ -17,7 +17,7 @@ DRAIN_S = 0.3
 """s at the end for messages that still wait."""
 
 
-class BackgroundSink:
+class BackgroundSink(Sink):
     """Passes messages to `sink` in the background; its failures are counted and logged."""
 
     def __init__(self, sink: Sink) -> None:
@@ -37,6 +37,11 @@ class BackgroundSink:
         return self._sink.problem
 
     @property
+    def remark(self) -> str:
+        """The sink's."""
+        return self._sink.remark
+
+    @property
     def counters(self) -> Mapping[str, int]:
         """Those of the sink, and `undrawn` (no time for it) and `undrawable` (it failed)."""
         return {**self._sink.counters, **self._counts}
@@ -52,9 +57,6 @@ class BackgroundSink:
                     self._waiting.popleft()
                     self._counts["undrawn"] += 1
             self._news.notify()
-
-    def tick(self) -> None:
-        """It is at work all the time."""
 
     def close(self) -> None:
         """Gives waiting messages DRAIN_S, then closes the sink."""

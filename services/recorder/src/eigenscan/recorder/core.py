@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
 
 from eigenscan.schemas.channels import CHANNELS, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
@@ -12,30 +12,35 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tick import TICK
 
 
-class Sink(Protocol):
+class Sink(ABC):
     """Takes every message. It reports a fault as `problem`, and raises no exception."""
 
     @property
     def problem(self) -> str:
         """Why it cannot do its work now; empty while it can."""
-        ...
+        return ""
 
     @property
+    def remark(self) -> str:
+        """What went wrong before; empty: nothing."""
+        return ""
+
+    @property
+    @abstractmethod
     def counters(self) -> Mapping[str, int]:
         """Numbers of messages written and lost."""
-        ...
 
+    @abstractmethod
     def write(self, received: Envelope) -> None:
         """Takes one message."""
-        ...
 
     def tick(self) -> None:
         """Does work that is due by the clock, about once a second, also without messages."""
-        ...
+        return
 
+    @abstractmethod
     def close(self) -> None:
         """Completes the output. Nothing may be written after it."""
-        ...
 
 
 class RecorderCore:
@@ -74,6 +79,5 @@ class RecorderCore:
             counters.update(sink.counters)
         if problems:
             return Condition(Health.STATUS_DEGRADED, problems, counters)
-        lost = counters["mcap_lost"]
-        detail = f"mcap: {lost} messages were lost: the disk was full, or a file deleted" if lost else ""
-        return Condition(Health.STATUS_OK, detail, counters)
+        remarks = "; ".join(sink.remark for sink in self._sinks if sink.remark)
+        return Condition(Health.STATUS_OK, remarks, counters)

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 
 import foxglove
 from eigenscan.geometry.pose import from_message, to_pose3
+from eigenscan.recorder.core import Sink
 from eigenscan.recorder.web_viewer import free_port
 from eigenscan.runtime.recording import descriptors
 from eigenscan.schemas.envelope import Envelope, nanoseconds
@@ -22,7 +23,7 @@ DRAWN = "/drawn"
 """Behind the key of a message that has no schema of Foxglove's: the same as one that its 3D panel draws."""
 
 
-class FoxgloveSink:
+class FoxgloveSink(Sink):
     """Serves every message on its key as topic, as the recording has it. `url` is for *Open connection*."""
 
     def __init__(self, host: str, port: int, site: str) -> None:
@@ -40,11 +41,6 @@ class FoxgloveSink:
             server_listener=_Subscriptions(self),
         )
         self.url = f"ws://{host}:{self._server.port}"
-
-    @property
-    def problem(self) -> str:
-        """Empty: who does not look harms nobody."""
-        return ""
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -67,9 +63,6 @@ class FoxgloveSink:
             if topic in self._latched:
                 data, time = self._latched[topic]
                 self._channels[topic].log(data, log_time=time)
-
-    def tick(self) -> None:
-        """Nothing is held back."""
 
     def close(self) -> None:
         """Disconnects all clients."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from time import perf_counter
 
 from eigenscan.recorder.about import About
+from eigenscan.recorder.core import Sink
 from eigenscan.recorder.files import Files, Limits
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.envelope import Envelope, nanoseconds
@@ -27,7 +28,7 @@ LATEST = 2**63 - 1
 """Last instant that tools can show, ns since the epoch."""
 
 
-class McapSink:
+class McapSink(Sink):
     """Writes to a new file in the folder `target`, or to `target` itself if it ends in .mcap.
 
     An existing file is left alone: the next free one of `name-2.mcap`, `name-3.mcap` is used. Messages older
@@ -78,6 +79,12 @@ class McapSink:
         if self._problem:
             return f"{self._problem}; messages are lost"
         return self._gone if self._now - self._gone_at < SHOWN_S * 1e9 else ""
+
+    @property
+    def remark(self) -> str:
+        """How many messages it has lost."""
+        lost = self._counts["mcap_lost"]
+        return f"mcap: {lost} messages were lost: the disk was full, or a file deleted" if lost else ""
 
     @property
     def counters(self) -> Mapping[str, int]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 
 import rerun as rr
+from eigenscan.recorder.core import Sink
 from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.picture.drawing import Picture
 from eigenscan.recorder.web_viewer import free_port, serve_viewer
@@ -18,7 +19,7 @@ FLUSH_S, FILE_S = 0.3, 60.0
 waited for: on a busy machine or a slow disk that takes longer."""
 
 
-class RerunSink:
+class RerunSink(Sink):
     """Draws every message. `url` is the page to open, empty without a live viewer."""
 
     def __init__(self, settings: RecorderOptions) -> None:
@@ -45,11 +46,6 @@ class RerunSink:
         )
 
     @property
-    def problem(self) -> str:
-        """Always empty: a missing picture harms nobody."""
-        return ""
-
-    @property
     def counters(self) -> Mapping[str, int]:
         """`drawn`."""
         return self._counts
@@ -67,9 +63,6 @@ class RerunSink:
             return
         with suppress(RuntimeError):  # what a slow viewer misses harms nobody
             self._stream.flush(timeout_sec=FLUSH_S)
-
-    def tick(self) -> None:
-        """Nothing is held back."""
 
     def close(self) -> None:
         """Completes the file and stops serving."""
