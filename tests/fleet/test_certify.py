@@ -14,6 +14,7 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
+from eigenscan.fleet import layout
 from eigenscan.fleet.configuration import robots_in
 from eigenscan.mapbuilder.options import MapbuilderOptions
 from eigenscan.projector.options import ProjectorOptions
@@ -267,6 +268,15 @@ def test_a_revoked_robot_with_a_table_of_its_own_is_shut_out(folder: Path) -> No
         assert "robots.r17: is left out, for its certificate is revoked: delete the table" in done.stderr
     assert run("certify", "--robot", "r17", "-o", folder).exit_code == 0
     assert "left out" not in run("configure", "-o", folder).stderr
+
+
+def test_a_revoked_name_that_begins_alike_is_another(folder: Path) -> None:
+    add_to_settings(folder, "[robots.r1]\nscan_raw = 5.0\n")
+    (folder / "revoked").mkdir(exist_ok=True)
+    (folder / "revoked" / "robot.r1.x.0123abcd.crt").touch()
+    assert not layout.left_out(folder)
+    (folder / "revoked" / "robot.r1.0123abcd.crt").touch()
+    assert len(layout.left_out(folder)) == 1
 
 
 def test_a_fault_that_keeps_a_robot_in_is_named_as_such(folder: Path) -> None:

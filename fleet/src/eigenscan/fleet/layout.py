@@ -199,7 +199,7 @@ def _revoked(folder: Path, kind: str, name: str) -> list[Path]:
     """Revoked certificates of a robot or group that holds no other."""
     held = {"robot": f"robots/{name}/robot.crt", "group": f"groups/{name}/projector.crt"}[kind]
     all_revoked = [] if (folder / held).exists() else sorted((folder / "revoked").glob("*.crt"))
-    return [path for path in all_revoked if path.name.startswith(f"{kind}.{name}.")]
+    return [path for path in all_revoked if path.stem.rpartition(".")[0] == f"{kind}.{name}"]
 
 
 def services(folder: Path) -> dict[Role, Path]:
