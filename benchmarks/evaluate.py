@@ -83,6 +83,9 @@ def main() -> None:
     options = _options()
     found: dict[str, Any] = json.loads(options.earlier.read_text()) if options.earlier else _run(options)
     print(_table(found))
+    for name, figures in found.items():
+        for words, row in figures.get("reported", {}).items():
+            print(f"{name}: health reported for {row['seconds']:.0f} s: {words}")
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     if options.picture:

@@ -29,7 +29,10 @@ def test_logs_pooled_by_their_bins_are_the_diagram_of_all_their_poses() -> None:
 def test_an_earlier_run_is_drawn_without_its_logs(tmp_path: Path) -> None:
     bins = [{"count": 10, "confidence": 0.55, "right": 0.4}, {"count": 90, "confidence": 0.99, "right": 1.0}]
     earlier, drawn = tmp_path / "run.json", tmp_path / "reliability.png"
-    earlier.write_text(json.dumps({"intel": {"calibration": bins}, "none": {"calibration": []}}))
+    reported = {"the scans are late": {"runs": 2, "seconds": 31.4}}
+    earlier.write_text(
+        json.dumps({"intel": {"calibration": bins}, "none": {"calibration": [], "reported": reported}})
+    )
     command: list[str | Path] = [
         sys.executable,
         BENCHMARKS / "evaluate.py",
@@ -38,6 +41,7 @@ def test_an_earlier_run_is_drawn_without_its_logs(tmp_path: Path) -> None:
         "--picture",
         drawn,
     ]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    shown = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+    assert shown.endswith("none: health reported for 31 s: the scans are late\n")
     red, _, blue = np.moveaxis(np.asarray(Image.open(drawn).convert("RGB")).astype(int), -1, 0)
     assert (blue > red + 60).any()  # the first log's marks

@@ -1,5 +1,6 @@
 """For how long health reports what while a log is played."""
 
+from eigenscan.workbench.evaluation.report import _windows
 from eigenscan.workbench.evaluation.reported import Reported
 
 S = 1_000_000_000
@@ -49,3 +50,10 @@ def test_words_that_differ_in_numbers_are_one_fault_over_all_runs() -> None:
         "scans come 0.5 s late": {"seconds": 3.0, "runs": 2},
         "odometry stands": {"seconds": 1.0, "runs": 1},
     }
+
+
+def test_a_share_of_all_poses_is_no_share_of_claims_by_its_heading() -> None:
+    """A window whose poses were right and never claimed read as one of right claims."""
+    words = {"success": "success", "right": "right", "false": "false", "off": "error"}
+    headings = [str(column.header) for column in _windows([], words).columns]
+    assert headings[-4:] == ["false claims", "right poses", "localized", "last error"]

@@ -190,7 +190,8 @@ def _consistency(found: Figures) -> str:
 def _windows(rows: list[Figures], words: dict[str, str]) -> Table:
     title = f"the windows without {words['success']}, or with a {words['false']} claim"
     table = Table(
-        *("window", "scans", "m", words["success"], f"{words['false']} claims", words["right"], "localized"),
+        *("window", "scans", "m", words["success"], f"{words['false']} claims"),
+        *(f"{words['right']} poses", "localized"),
         f"last {words['off']}",
         box=None,
         title=title,
