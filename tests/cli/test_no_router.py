@@ -35,3 +35,20 @@ def test_a_person_does_not_wait_for_a_router_without_end(
     assert result.returncode == 1, result.stderr
     assert "nobody answers" in result.stderr
     assert str(config) in result.stderr
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "doctor",
+        "fleet status --once",
+        "fleet metrics --port 0",
+        "fleet fetch r1 --from 15m",
+        "fleet relocate r1 --search",
+    ],
+)
+def test_a_site_that_no_key_can_have_is_refused_before_anything_is_opened(typed: str) -> None:
+    """fetch waited for an answer; the others named a key's field."""
+    refused = eigenscan(*shlex.split(typed), "--site", "a b")
+    assert refused.returncode == 2
+    assert "--site 'a b': a name has no blanks" in refused.stderr

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from eigenscan.cli.command_group import EXIT_FAILED
 from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.cli.names import Site
 from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import DEFAULT_SITE
 
@@ -21,7 +22,7 @@ LEAST_FREE_MB = 1000
 
 
 def doctor(
-    site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
+    site: Site = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     robot: Annotated[
         list[str] | None, typer.Option(help="a robot that must be there; repeat for more")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import is_chunk
 
@@ -11,3 +14,12 @@ def check_names(robot: str, site: str) -> None:
     for option, value in (("--robot", robot), ("--site", site)):
         if not is_chunk(value):
             raise UsageError(f"{option} {value!r}: a name has no blanks and none of / * $ # ? @")
+
+
+def _checked(site: str) -> str:
+    check_names("any", site)
+    return site
+
+
+Site = Annotated[str, typer.Option(callback=_checked, help="name of the site")]
+"""The site that a command listens to."""

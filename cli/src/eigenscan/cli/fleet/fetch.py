@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.moment import INSTANT, instant
+from eigenscan.cli.names import Site
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_SITE, is_chunk
 
@@ -27,7 +28,7 @@ def fetch(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="folder; each robot's files are in one of its own")
     ] = Path("out/fetched"),
-    site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
+    site: Site = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     seconds: Annotated[float, typer.Option(min=1.0, max=86_400.0, help="s to wait for each answer")] = 10.0,
     json_file: JsonFile = None,

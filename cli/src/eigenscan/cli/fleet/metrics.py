@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from eigenscan.cli.names import Site
 from eigenscan.schemas.channels import DEFAULT_SITE
 
 UPDATE_S = 0.2
 
 
 def metrics(
-    site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
+    site: Site = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="serve /metrics here; 0 chooses one")] = 9200,
     host: Annotated[str, typer.Option(help="address to serve on")] = "127.0.0.1",

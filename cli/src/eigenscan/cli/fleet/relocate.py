@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.cli.names import Site
 from eigenscan.runtime.errors import FailedError, UsageError
 from eigenscan.schemas.channels import DEFAULT_SITE, RELOCATION, is_chunk
 from eigenscan.schemas.envelope import Envelope, stamp
@@ -33,7 +34,7 @@ def relocate(
     ] = None,
     search: Annotated[bool, typer.Option("--search", help="search the whole site again")] = False,
     sigma: Annotated[float, typer.Option(min=0.01, max=100.0, help="m, how far off X and Y may be")] = 0.5,
-    site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
+    site: Site = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     seconds: Annotated[float, typer.Option(min=1.0, max=86_400.0, help="s to wait for each answer")] = 10.0,
     json_file: JsonFile = None,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.cli.names import Site
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import DEFAULT_SITE
@@ -22,7 +23,7 @@ REFRESH_S = 0.5
 
 
 def status(
-    site: Annotated[str, typer.Option(help="name of the site")] = DEFAULT_SITE,
+    site: Site = DEFAULT_SITE,
     zenoh: Annotated[Path | None, typer.Option(help="Zenoh configuration, JSON5")] = None,
     once: Annotated[bool, typer.Option("--once", help="print the table once and end")] = False,
     seconds: Annotated[
