@@ -86,6 +86,16 @@ def test_a_time_of_day_is_a_moment_as_well(tmp_path: Path) -> None:
     assert "--to: must be after --at" in result.stderr
 
 
+def test_a_recording_of_one_moment_is_drawn(tmp_path: Path) -> None:
+    """Of a converter that knows no log time: it named --to, which nobody had given."""
+    with RecordingWriter(tmp_path / "zero.mcap") as writer:
+        for message in Site("s", seconds=1.0).messages():
+            writer.write(message, 0)
+    result = view(tmp_path / "zero.mcap", "--rrd", tmp_path / "zero.rrd", "--no-open")
+    assert result.returncode == 0, result.stderr
+    assert drawn_times(tmp_path / "zero.rrd", "/world/robots/r1/tracks")
+
+
 def test_robots_share_one_map(tmp_path: Path) -> None:
     path = tmp_path / "two.mcap"
     both = [m for robot in ("r1", "r2") for m in Site("s", robot, seconds=1.0).messages()]

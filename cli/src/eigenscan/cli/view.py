@@ -100,7 +100,7 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
     begin, end = found.stretch(at.after(found.begin), to.after(found.begin) if to else None)
     if begin > found.end:
         raise UsageError(f"--at: {recording} is from {span(found.begin, found.end)}")
-    if end <= begin:
+    if to and end <= begin:
         raise UsageError("--to: must be after --at")
     try:
         sink = RerunSink(settings)
