@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from eigenscan.workbench.logs import LogError, open_log
 from reliability_picture import draw_reliability
 from simulated_worlds import worlds, write
 
@@ -122,13 +123,23 @@ def buildings(root: Path) -> list[Case]:
             named = [
                 file for file in sorted(folder.iterdir()) if f"{file.name}.".startswith(f"{reference.stem}.")
             ]
-            logs = [file for file in named if file.suffix not in BESIDE]
+            logs = [file for file in named if file.suffix not in BESIDE and is_log(file)]
             found += [
                 Case(f"{folder.name}/{log.name}", folder.name, log.name, reference.name) for log in logs
             ]
     if not found:
         sys.exit(f"{root}: no folder in it holds map.yaml and a log with its reference: drive.bag, drive.tum")
     return found
+
+
+def is_log(file: Path) -> bool:
+    """Whether a file can be read as a log; else it is named and left out."""
+    try:
+        open_log(file)
+    except LogError as error:
+        print(error, file=sys.stderr)
+        return False
+    return True
 
 
 def _run_simulated(options: argparse.Namespace) -> dict[str, Any]:

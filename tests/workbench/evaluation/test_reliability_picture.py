@@ -1,6 +1,7 @@
 """The reliability diagram of the benchmark: several logs are one source, and an earlier run can be drawn."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -45,3 +46,24 @@ def test_an_earlier_run_is_drawn_without_its_logs(tmp_path: Path) -> None:
     assert shown.endswith("none: health reported for 31 s: the scans are late\n")
     red, _, blue = np.moveaxis(np.asarray(Image.open(drawn).convert("RGB")).astype(int), -1, 0)
     assert (blue > red + 60).any()  # the first log's marks
+
+
+def test_a_file_beside_a_log_that_is_none_is_named_and_left_out(tmp_path: Path) -> None:
+    """A note on the mount, beside the log that it is of, ended the benchmark."""
+    folder = tmp_path / "hall"
+    folder.mkdir()
+    for name in ("map.yaml", "drive.tum"):
+        (folder / name).touch()
+    (folder / "drive.clf").write_text("FLASER 1 2.0 0 0 0 0 0 0 0.0 robot 0.0\n")
+    (folder / "drive.mount").write_text("0.1 0 0\n")
+    listed = "import pathlib, evaluate; print([c.log for c in evaluate.buildings(pathlib.Path('.'))])"
+    done = subprocess.run(
+        [sys.executable, "-c", listed],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(BENCHMARKS)},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout == "['drive.clf']\n"
+    assert "drive.mount: is of no known format" in done.stderr
