@@ -140,10 +140,10 @@ def test_an_upside_down_lidar_is_turned(localizer: Localizer, drive: Path) -> No
     [
         ({"ranges": []}, "no beams"),
         ({"ranges": [[1.0, 2.0]]}, "shape"),
-        ({"ranges": [np.nan] * 361}, "no valid range"),
-        ({"angle_increment": 0.0}, "angle"),
+        ({"ranges": [np.nan] * 361}, "ranges: none lies between"),
+        ({"angle_increment": 0.0}, "angle_increment: must not be 0"),
         ({"mount": (np.nan, 0.0, 0.0)}, "mount"),
-        ({"range_min": 40.0}, "limits"),
+        ({"range_min": 40.0}, "range_min, range_max: contradict"),
     ],
 )
 def test_what_is_wrong_with_a_scan_is_reported(

@@ -34,6 +34,18 @@ GRAZING = math.tan(math.radians(75.0))
 """Two neighbours that differ by more than a wall seen 75 deg off its normal are not one surface."""
 
 
+FAULTS = {
+    "no_beams": "ranges: no beams",
+    "no_valid_range": "ranges: none lies between range_min and range_max; m",
+    "angles_not_finite": "angle_min, angle_increment: must be numbers; rad",
+    "angle_increment_zero": "angle_increment: must not be 0; rad",
+    "over_a_turn": "angle_increment: the beams cover over one turn; rad",
+    "limits_inconsistent": "range_min, range_max: contradict each other; m",
+    "mount_too_far": f"mount: not finite, or over {FARTHEST_MOUNT:.0f} m from the base",
+}
+"""What the reason of a ScanError means, with the field, for whoever can mend it."""
+
+
 class ScanError(ValueError):
     """A raw scan that nothing can be made of; `reason` is a counter's name."""
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.pose import to_message
-from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.core import WHY, ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, SCAN_RAW, is_chunk
 from eigenscan.schemas.envelope import LATEST_S, Envelope, nanoseconds, stamp
@@ -139,5 +139,5 @@ class Scan:
         for published in ingest.handle(Envelope(SCAN_RAW, address, raw)):
             return published
         (reason,) = (name for name in ingest.condition().counters if name.startswith(_SET_ASIDE))
-        words = reason.removeprefix(_SET_ASIDE).replace("_", " ")
-        raise ScanError(f"scan of {len(raw.ranges)} beams cannot be used: {words}")
+        why = WHY[reason.removeprefix(_SET_ASIDE)]
+        raise ScanError(f"scan of {len(raw.ranges)} beams cannot be used: {why}")

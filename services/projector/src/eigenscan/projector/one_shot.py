@@ -10,7 +10,16 @@ import numpy as np
 from eigenscan.eigenspace.floors import Floor, floor_of
 from eigenscan.geometry.circle import wrap
 from eigenscan.geometry.message_floats import floats_of
-from eigenscan.geometry.normalize import FARTHEST_MOUNT, ScanError, Sweep, limit, limits, orient, own_beams
+from eigenscan.geometry.normalize import (
+    FARTHEST_MOUNT,
+    FAULTS,
+    ScanError,
+    Sweep,
+    limit,
+    limits,
+    orient,
+    own_beams,
+)
 from eigenscan.geometry.pose import compose, covariance_to_message, from_message, to_message
 from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.focus import Reach, Scope
@@ -32,16 +41,7 @@ MOST_BEAMS = 20_000
 REACH = 3.0
 """Largest distance from the base to the sensor, m: regions this far outside of the allowed ones are searched
 too."""
-_FIELDS = {
-    "no_beams": "scan.ranges: no beams",
-    "too_many_beams": f"scan.ranges: more than {MOST_BEAMS} beams",
-    "no_valid_range": "scan.ranges: no valid range",
-    "angles_not_finite": "scan.angle_min, scan.angle_increment: not finite",
-    "angle_increment_zero": "scan.angle_increment: must not be 0; rad",
-    "over_a_turn": "scan.angle_increment: the beams cover over one turn; rad",
-    "limits_inconsistent": "scan.range_min, scan.range_max: limits contradict each other; m",
-    "mount_too_far": f"scan.mount: not finite, or beyond {FARTHEST_MOUNT:g} m",
-}
+_FAULTS = FAULTS | {"too_many_beams": f"ranges: more than {MOST_BEAMS} beams"}
 
 
 class QueryError(ValueError):
@@ -166,7 +166,7 @@ def canonical(raw: RawScan) -> Scan:
         if np.isnan(sweep.ranges).all():
             raise ScanError("no_valid_range")
     except ScanError as error:
-        raise QueryError(_FIELDS[error.reason]) from None
+        raise QueryError(f"scan.{_FAULTS[error.reason]}") from None
     return Scan(
         timestamp=raw.timestamp,
         mount=raw.mount,

@@ -13,6 +13,7 @@ from eigenscan.geometry.circle import wrap
 from eigenscan.geometry.message_floats import floats_of, put_floats
 from eigenscan.geometry.normalize import (
     FARTHEST_MOUNT,
+    FAULTS,
     Ranges,
     ScanError,
     Sweep,
@@ -45,19 +46,12 @@ SHOWN = {
     ),
 }
 """The fault of a lidar whose scans, the newest too, are set aside for a reason."""
-WHY = {
+WHY = FAULTS | {
     "other_message": "its sender uses another version of the contract",
-    "no_beams": "scans have no beams",
     "too_many_beams": "scans have more beams than the setting max_beams allows",
-    "no_valid_range": "no range lies between range_min and range_max; both in m",
     "one_value": "all beams of a scan have one value: is the lidar covered?",
     "not_in_metres": "ranges must be metres",
-    "angles_not_finite": "angle_min and angle_increment must be numbers, rad",
-    "angle_increment_zero": "angle_increment must not be 0, rad",
-    "over_a_turn": "the beams cover over one turn: angle_increment is too large, rad",
-    "limits_inconsistent": "range_min is above range_max; m",
     "mount_not_finite": "the mount must be numbers",
-    "mount_too_far": f"the mount is over {FARTHEST_MOUNT:.0f} m from the base",
     "duplicate_stamp": "each scan needs a new stamp: is it in whole seconds, or published twice?",
     "out_of_order": "stamps go backwards: do two drivers use one name, or two clocks?",
     "two_lidars": "mounts differ by turns: do two lidars use one name?",
