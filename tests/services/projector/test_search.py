@@ -15,15 +15,15 @@ from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.association.manifold import Sheets
 from eigenscan.projector.association.sweep import SweepTable
 from eigenscan.projector.connectivity import best_of_neighbourhoods, lattice_poses
-from eigenscan.projector.intervals import clearance, leaving
+from eigenscan.projector.intervals import leaving
 from eigenscan.projector.lattice import Lattice
-from eigenscan.projector.likelihood import Exactness, beyond_walls, support
+from eigenscan.projector.likelihood import Exactness
 from eigenscan.projector.observation import by_reach, observe
 from eigenscan.projector.projection import find_candidates, project
 from eigenscan.projector.refinement import POLISH, SLIDE, fit
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.subspaces import SeenPart
-from eigenscan.projector.verification import overshot, predicted, verify
+from eigenscan.projector.verification import cap, find_overshot, grid_of, predicted, verify
 from eigenscan.projector.wall_field import WallField
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -39,6 +39,7 @@ from tests.services.projector.office import (
     scan_at,
     site,
 )
+from tests.services.projector.steps import beyond_walls, clearance, support
 
 # written out, not taken from what is tested: a change there must show here
 UNLIKE = 0.5
@@ -323,7 +324,8 @@ def test_by_the_nearest_panorama_beams_go_through_walls_that_it_shows() -> None:
     heading = np.rint((truth[:, 2] + sensor.angle_min) / (TURN / ANALYSIS_TURN)).astype(int)
     wall = lattice.panoramas[nearest[:, None], (heading[:, None] + beams) % ANALYSIS_TURN]
     seen = np.linspace(2.0, 8.0, len(beams), dtype=np.float32)
-    found = overshot(leaves, lattice, home, truth, beams, seen, sensor.angle_min, 0.0)
+    found = np.empty((len(truth), len(beams)), dtype=np.float32)
+    find_overshot(leaves, grid_of(lattice), home, truth, sensor.angle_min, beams, seen, cap(0.0), found)
     through = (wall < RANGE_CAP) & (seen > wall + np.float32(OVERSHOT_M))
     assert 0.05 < through.mean() < 0.95
     assert np.array_equal(found, through.astype(np.float32))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from eigenscan.geometry.circle import difference
 from eigenscan.geometry.pose import compose, inverse
-from eigenscan.projector.intervals import clearance
-from eigenscan.projector.likelihood import Exactness, beyond_walls, support
+from eigenscan.projector.likelihood import Exactness
 from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.observation import observe
 from eigenscan.projector.publishing import to_base
@@ -17,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.services.projector.office import free_poses, scan_at, site
+from tests.services.projector.steps import beyond_walls, clearance, support
 
 OFF_THE_MAP = np.array([-40.0, 3.0, 0.0])
 UNKNOWN_GROUND = 0.1

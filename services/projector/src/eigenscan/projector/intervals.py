@@ -41,16 +41,6 @@ def leaving(field: WallField, positions: Array, entered: Singles, until: float) 
     return out
 
 
-def clearance(field: WallField, poses: Array, bearings: Array, entered: Singles, seen: Singles) -> Singles:
-    """How far (n, B), m, beams got away from every wall after they `entered` (n, B) one; 0 if they did not.
-
-    From poses (n, 3) along `bearings` (B,) to where they ended, `seen` (B,); about FAR_OFF at most.
-    """
-    out = np.zeros(entered.shape, dtype=np.float32)
-    find_clearance(field.cells, field.cell, field.cells_of(poses), bearings, entered, seen, out)
-    return out
-
-
 @njit(cache=True, nogil=True)  # pragma: no cover - compiled
 def _leaving(
     cells: Words, cell: float, poses: Array, bearings: Array, entered: Singles, until: float, out: Singles
@@ -76,7 +66,11 @@ def _leaving(
 def find_clearance(
     cells: Words, cell: float, poses: Array, bearings: Array, entered: Singles, seen: Singles, out: Singles
 ) -> None:
-    """For compiled code: `clearance` of poses (n, 3) in the field, see WallField.cells_of."""
+    """How far (n, B), m, beams got away from every wall after they `entered` (n, B) one; 0 if they did not.
+
+    From poses (n, 3) in the field, see WallField.cells_of, along `bearings` (B,) to where they ended, `seen`
+    (B,); about FAR_OFF at most. `out` must be 0 before.
+    """
     flat, columns = cells.reshape(-1), np.int64(cells.shape[1])
     right, top = float(cells.shape[1]), float(cells.shape[0])
     half = 0.5 * cell

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from eigenscan.projector.covariance import POINT_SIGMA
 from eigenscan.projector.observation import by_reach
-from eigenscan.projector.wall_field import REACH, WallField, unpack
+from eigenscan.projector.wall_field import REACH, unpack
 from numba import njit
 from numpy.typing import NDArray
 
@@ -76,45 +76,17 @@ def _by_chance(scale: float) -> float:
 EXACT = Exactness.of(0.0)
 
 
-def support(
-    field: WallField,
-    poses: Array,
-    bearings: Array,
-    seen: NDArray[np.float32],
-    through: NDArray[np.float32],
-    scale: float = EXACT.scale,
-) -> tuple[Array, Array]:
-    """Mean support (n,) of a scan for sensor poses (n, 3), at most 1, and the share (n,) of explained beams.
-
-    `seen` (B,) are finite ranges along `bearings` (B,); `through` (n, B), 0 to 1, shows how surely beams went
-    through a wall. `scale` as of `Exactness`. A beam is explained that ends at a wall, and more likely than
-    not at the first one. Beams count `by_reach`.
-    """
-    out = np.empty((2, len(poses)))
-    find_support(
-        field.cells, field.cell, field.cells_of(poses), bearings, seen, share_of(seen), through, scale, out
-    )
-    return out[0], out[1]
-
-
 def share_of(seen: NDArray[np.float32]) -> Array:
     """What each of the beams (B,) counts `by_reach` of all."""
     return by_reach(seen) / max(len(seen), 1)
 
 
-def beyond_walls(clear: NDArray[np.float32], scale: float = EXACT.scale) -> NDArray[np.float32]:
-    """How surely beams went through a wall, 0 to 1, that got so far, m, away from every wall behind it.
+@njit(inline="always")  # pragma: no cover - compiled
+def sure_beyond(clear: np.float32, scale: float) -> np.float32:
+    """How surely a beam went through a wall, 0 to 1, that got so far, m, away from every wall behind it.
 
     What an end point as far from a wall lacks of counting whole.
     """
-    square = clear * clear
-    sure: NDArray[np.float32] = square / (square + np.float32(scale**2))
-    return sure
-
-
-@njit(inline="always")  # pragma: no cover - compiled
-def sure_beyond(clear: np.float32, scale: float) -> np.float32:
-    """For compiled code: `beyond_walls` of one beam."""
     square = clear * clear
     return np.float32(square / (square + np.float32(scale**2)))
 
@@ -153,7 +125,12 @@ def find_support(
     scale: float,
     out: Array,
 ) -> None:
-    """For compiled code: `support` of poses (n, 3) in the field; each beam's `share` (B,); `out` (2, n)."""
+    """Mean support of a scan for sensor `poses` (n, 3) in cells, at most 1, and the share of explained beams.
+
+    `out` (2, n). `seen` (B,) are finite ranges along `bearings` (B,), of which each counts its `share` (B,);
+    `through` (n, B), 0 to 1, shows how surely beams went through a wall. `scale` as of `Exactness`. A beam is
+    explained that ends at a wall, and more likely than not at the first one.
+    """
     # single precision and no branches, so that it fits vector units
     one, half, zero, unit = np.float32(1.0), np.float32(0.5), np.float32(0.0), np.float32(cell)
     flat, columns = cells.reshape(-1), np.int32(cells.shape[1])

@@ -123,36 +123,6 @@ def _weigh(
     return total
 
 
-def overshot(
-    leaves: Steps,
-    lattice: Lattice,
-    home: NDArray[np.int64],
-    poses: NDArray[np.float64],
-    beams: NDArray[np.int64],
-    seen: NDArray[np.float32],
-    angle_min: float,
-    range_max: float,
-) -> NDArray[np.float32]:
-    """Whether `beams` (B,) of poses (n, 3) near positions `home` (n,) went through a wall: (n, B), 1 or 0.
-
-    Uses the nearest panorama, up to half a grid cell away: it costs nothing and is exact enough here.
-    `leaves` as of `predicted`; `seen` (B,) are the beams' ranges.
-    """
-    out = np.empty((len(poses), len(beams)), dtype=np.float32)
-    find_overshot(
-        leaves,
-        grid_of(lattice),
-        home,
-        poses,
-        angle_min,
-        np.ascontiguousarray(beams),
-        seen,
-        cap(range_max),
-        out,
-    )
-    return out
-
-
 Grid = tuple[NDArray[np.float64], NDArray[np.int32], float]
 """A lattice as compiled code takes it: positions, neighbours and spacing."""
 
@@ -174,7 +144,11 @@ def find_overshot(
     cap: np.float32,
     out: NDArray[np.float32],
 ) -> None:
-    """For compiled code: `overshot`, with the `cap` of the ranges."""
+    """Whether `beams` (B,) of poses (n, 3) near positions `home` (n,) went through a wall: 1 or 0, (n, B).
+
+    Uses the nearest panorama, up to half a grid cell away: it costs nothing and is exact enough here.
+    `leaves` as of `predicted`; `seen` (B,) are the beams' ranges.
+    """
     positions, neighbours, spacing = grid
     farthest = np.int16(np.rint(cap * STEPS))
     # unsigned: an index that cannot be negative is not looked at twice

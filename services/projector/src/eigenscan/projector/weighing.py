@@ -1,7 +1,7 @@
 """Polishes poses of a scan and weighs them by all its beams, each in one compiled call.
 
-The steps are those of `fit`, RayCaster.cast, `clearance` and `support`; the calls between them cost more than
-the work on few poses.
+The steps are those of `fit`, RayCaster.cast, `find_clearance` and `find_support`; the calls between them cost
+more than the work on few poses.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def weigh(
 def doubts(site: Site, view: SensorView, seen: Observation, slid: Array, home: Index) -> Array:
     """What speaks against poses `slid` (n, 3) near positions `home` (n,), by ranges that panoramas foresee.
 
-    The steps are those of `overshot`, `support` and RayCaster.in_dark.
+    The steps are `find_overshot`, `find_support` and RayCaster.in_dark.
     """
     sensor, grid, (bearings, ranges) = seen.sensor, site.caster.grid, seen.weighed
     out = np.empty(len(slid))
