@@ -188,6 +188,7 @@ def test_a_file_that_was_deleted_meanwhile_is_reported(robot: Path, ask: Ask, tm
     (robot / part.name).unlink()
     with pytest.raises(FailedError, match=r"r17: s-20231114-221300\.mcap: is not there .*make room"):
         fetch(refused, part, tmp_path)
+    assert list(tmp_path.glob("s-*")) == []
 
 
 def test_damaged_bytes_are_no_recording(ask: Ask, tmp_path: Path) -> None:

@@ -117,14 +117,18 @@ def fetch(ask: Ask, part: RecordingPart, folder: Path, moved: Moved = lambda _by
         return Fetched(part, target, 0)
     folder.mkdir(parents=True, exist_ok=True)
     came = 0
-    with partial.open("a+b") as file:
-        at = _resume(ask, part, file.seek(0, 2), partial)
-        file.truncate(at)
-        while at < part.size:
-            piece = _piece(ask, part, at, min(PIECE_BYTES, part.size - at))
-            file.write(piece)
-            at, came = at + len(piece), came + len(piece)
-            moved(len(piece))
+    try:
+        with partial.open("a+b") as file:
+            at = _resume(ask, part, file.seek(0, 2), partial)
+            file.truncate(at)
+            while at < part.size:
+                piece = _piece(ask, part, at, min(PIECE_BYTES, part.size - at))
+                file.write(piece)
+                at, came = at + len(piece), came + len(piece)
+                moved(len(piece))
+    finally:
+        if partial.exists() and not partial.stat().st_size:  # nothing came that could be gone on from
+            partial.unlink()
     _complete(part, partial, target)
     return Fetched(part, target, came)
 
