@@ -7,11 +7,12 @@ from collections import deque
 
 import pytest
 from eigenscan.fleet.diagnosis import diagnose
-from eigenscan.fleet.view import FleetView, Service
+from eigenscan.fleet.view import FleetView, Robot, Service
 from eigenscan.runtime.inbox import Arrival
 from eigenscan.schemas.channels import CONTRACT_VERSION, HEALTH, MODEL_SET
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode, encoding
 
 
@@ -61,6 +62,18 @@ def test_a_revoked_robot_that_is_still_received_is_a_fault() -> None:
     fixes = [each.mend for each in diagnose(view) if "revoked" in each.what and each.where == "robot r17"]
     assert len(fixes) == 1
     assert "site/router.json5" in fixes[0]
+
+
+@pytest.mark.parametrize(("version", "old"), [("b" * 64, True), ("a" * 64, False), ("", False)])
+def test_a_robot_on_older_models_is_a_fault_and_one_that_states_none_is_not(version: str, old: bool) -> None:
+    view = site(scan_ingest="no scan", projector="", tracker="")
+    view.model_versions.append("a" * 64)
+    view.robots["r17"] = Robot("r17", pose=PoseEstimate(model_version=version))
+    for service in view.services.values():
+        service.first = Health()
+        assert service.health is not None
+        service.health.counters["heard_scan_raw"] = 5
+    assert any("uses model" in each.what for each in diagnose(view)) is old
 
 
 def test_two_machines_under_one_name_are_a_fault_and_a_restart_is_none() -> None:

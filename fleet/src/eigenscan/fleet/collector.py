@@ -42,8 +42,7 @@ class SiteCollector:
             if robot is not None and pose is not None:
                 confidence.add_metric([name], pose.confidence)
                 age.add_metric([name], now - robot.received_at)
-                newest = view.model_version
-                old.add_metric([name], float(bool(newest) and pose.model_version != newest))
+                old.add_metric([name], float(robot.is_old(view.model_version)))
         yield from (state, confidence, age, old)
 
     def _services(self) -> Iterator[Metric]:

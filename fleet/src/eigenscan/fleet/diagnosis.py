@@ -174,11 +174,11 @@ def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
             "no odometry arrives: it localizes, but more slowly and less surely",
             f"publish it on {view.site}/robot/{robot}/odom",
         )
-    newest, pose = view.model_version, view.robots[robot].pose if robot in view.robots else None
-    if newest and pose is not None and pose.model_version != newest:
+    known = view.robots.get(robot)
+    if known is not None and known.pose is not None and known.is_old(view.model_version):
         yield Finding(
             where,
-            f"uses model {pose.model_version[:8]}, the site's newest is {newest[:8]}",
+            f"uses model {known.pose.model_version[:8]}, the site's newest is {view.model_version[:8]}",
             "wait half a minute; if nothing changes, check the link and restart its projector",
         )
 

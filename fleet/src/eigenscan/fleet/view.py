@@ -181,6 +181,11 @@ class Robot:
     advice: Advice | None = None
     advised_at: float = 0.0
 
+    def is_old(self, newest: str) -> bool:
+        """Whether its pose is by other models than the site's newest, as far as both are stated."""
+        own = self.pose.model_version if self.pose is not None else ""
+        return bool(own and newest) and own != newest
+
     @property
     def advised(self) -> str:
         """The advice in words, while it holds: the pose is ambiguous, and it came just now."""
