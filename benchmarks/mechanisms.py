@@ -217,6 +217,7 @@ MECHANISMS: Mapping[str, Patches] = {
     "slipped wheels": ((evidence, "SLIPS", 0.0),),
     "heavy tails of odometry": ((evidence, "TAIL", 1e300),),
     "poor fits err more": ((observation, "POORER", 0.0),),
+    "errors of a map that are alike": ((observation, "POINT_SIGMA", 1e9),),
     "evidence by place": ((branching, "LEAST_NEW", 1.0),),
     "kidnaps by broken lists": ((robot, "goes_on", lambda *_: None),),
     "kidnaps where one goes on": ((continuity, "STRAY", 0),),

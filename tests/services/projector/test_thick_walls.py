@@ -64,6 +64,9 @@ def test_a_list_states_which_surfaces_of_thick_walls_its_poses_fit(
         for i, truth in enumerate(free_poses(SCANS, 21, fat(0.2)))
     ]
     assert np.mean([each.surfaces == wanted for each in lists]) > 0.7
+    # anywhere in a wall 5 cm thick that is drawn `by` fatter on each side: an even distribution
+    inexactness = (0.05 + 2.0 * by) / 12.0**0.5 if by else 0.0
+    assert [each.inexactness for each in lists] == pytest.approx([inexactness] * len(lists), abs=0.02)
 
 
 def warehouse(pitch: int, seed: int) -> GridMap:

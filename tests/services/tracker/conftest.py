@@ -47,6 +47,7 @@ class Speaker:
         frame: str = "map",
         status: Hypotheses.Status = Hypotheses.STATUS_OK,
         used_beams: int = 90,
+        inexactness: float = 0.0,
     ) -> Envelope:
         listed = [*zip(poses, log_likelihoods, strict=True)]
         if listed:
@@ -57,6 +58,7 @@ class Speaker:
             frame_id=frame,
             status=status,
             used_beams=used_beams,
+            inexactness=inexactness,
             unlisted_log_likelihood=self.unlisted / TRUST,
             searched_area_m2=self.area,
             hypotheses=[

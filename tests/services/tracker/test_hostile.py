@@ -56,6 +56,7 @@ def hypotheses(draw: st.DrawFn) -> Envelope:
         hypotheses=listed,
         unlisted_log_likelihood=draw(wild),
         searched_area_m2=draw(wild),
+        inexactness=draw(wild),
     )
     lidar, projector = draw(st.sampled_from(["front", "rear"])), draw(st.sampled_from(["0", "1"]))
     return Envelope(HYPOTHESES, {**ADDRESS, "lidar": lidar, "projector": projector}, message)

@@ -14,6 +14,8 @@ from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter
 
+POINT_SIGMA = 0.05
+"""m, error of a beam's end point about the wall of an exact map."""
 DEEPEST_M = 1.0
 """Depth in a wall, m, beyond which it counts as equally deep: thicker objects are no walls."""
 THICKEST_M = 0.8

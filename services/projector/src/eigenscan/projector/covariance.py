@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from eigenscan.geometry.surfaces import POINT_SIGMA
 from eigenscan.geometry.symmetric import inverse_each
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-POINT_SIGMA = 0.05
-"""m, error of a beam's end point about the map's wall."""
 INDEPENDENCE = 0.25
 """Independent points per point: neighbours err alike."""
 PRIOR = np.diag([0.25, 0.25, np.deg2rad(5.0)]) ** 2

@@ -11,7 +11,7 @@ from math import atan, hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from eigenscan.projector.covariance import POINT_SIGMA
+from eigenscan.geometry.surfaces import POINT_SIGMA
 from eigenscan.projector.observation import by_reach
 from eigenscan.projector.wall_field import REACH, unpack
 from numba import njit

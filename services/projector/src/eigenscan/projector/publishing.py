@@ -85,6 +85,7 @@ def _answer(scan: Scan, site: Site, seen: Observation, **fields: Any) -> Hypothe
         frame_id=site.frame_id,
         model_version=site.version,
         used_beams=seen.returned,
+        inexactness=site.inexactness,
         motion=scan.motion if scan.HasField("motion") else None,
         **fields,
     )

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import hypot, isfinite
 from operator import attrgetter
 
 import numpy as np
 from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.surfaces import POINT_SIGMA, THICKEST_M
 from eigenscan.geometry.symmetric import MATRICES, put
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses
@@ -71,6 +72,18 @@ class Observation:
     """Nats by which the scan is likelier if its ranges have such an error; None: not checked."""
     cut: bool = False
     """Whether places as likely as the last one may be missing."""
+    inexactness: float = 0.0
+    """m, how far the map's surfaces may be from where it draws them: standard deviation."""
+
+    @property
+    def alike(self) -> float:
+        """How much farther a robot comes than on an exact map until a scan is new evidence.
+
+        By as much as surfaces are farther off than a lidar errs: along a wall they are off alike. On 15 worse
+        maps, all looked at, 359 claims are false, not 1,045, and of 148 windows 126 succeed, not 127
+        (benchmarks/mechanisms.py --way "thick, coarse, warped" --without "errors of a map that are alike").
+        """
+        return hypot(POINT_SIGMA, self.inexactness) / POINT_SIGMA
 
     def likelier_than_unlisted(self) -> Observation:
         """The same without hypotheses that are no likelier than a pose outside the list."""
@@ -121,6 +134,7 @@ def observe(
         TURN * max(0.0, 1.0 - message.used_beams / ALL_AROUND),
         gains(message.range_check) if message.HasField("range_check") else None,
         message.cut,
+        message.inexactness if 0.0 <= message.inexactness <= THICKEST_M else 0.0,
     )
 
 

@@ -398,7 +398,8 @@ class RobotTracker:
             self._counts["continuity_broken"] += 1
             source.scans = 1
         turn = source.new_turn(moved, self._settings.independence_m, seen.unseen)
-        progress = self._news(moved._replace(turn=turn))
+        moved_on = self._news(moved._replace(turn=turn))
+        progress = moved_on / seen.alike
         # a new place counts again, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
         weight = max(1.0 / source.scans, fresh)
@@ -407,7 +408,7 @@ class RobotTracker:
         rate += self.building.lift_rate(self.belief.tracks)
         carried = happened(rate / len(self._sources) * seconds)
         # local lists in between have fixed the tracks
-        precision = min(1.0, self._news(self._motion(fixed, seen.stamp)) if fixed > last else progress)
+        precision = min(1.0, self._news(self._motion(fixed, seen.stamp)) if fixed > last else moved_on)
         return Share(weight / peers, progress / peers, precision / peers, carried, broken, peers > 1)
 
     def _news(self, moved: Motion) -> float:

@@ -19,7 +19,7 @@ CHANNELS = {
 LACKED: dict[str, tuple[str, ...]] = {
     "eigenscan.RawScan": ("time_increment", "stamped_after"),
     "eigenscan.Scan": ("motion",),
-    "eigenscan.Hypotheses": ("motion", "search", "surfaces", "range_check", "cut"),
+    "eigenscan.Hypotheses": ("motion", "search", "surfaces", "range_check", "cut", "inexactness"),
     "eigenscan.RegionModel": ("space",),
     "eigenscan.ModelSet": ("floors",),
     "eigenscan.PoseEstimate": (
