@@ -177,4 +177,4 @@ def _summarize(
     if mapped.jumps:
         typer.echo(f"odometry jumped {mapped.jumps} times: there the scans alone count", err=True)
     for first, last in mapped.unjoined:
-        typer.echo(f"not joined to the rest: {scans.span(first, last)}: no overlap was found", err=True)
+        typer.echo(f"not joined to the rest: {scans.span(first, last)}: no sure overlap was found", err=True)
