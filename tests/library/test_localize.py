@@ -236,6 +236,16 @@ def test_a_scan_that_shows_nothing_has_no_poses(localizer: Localizer) -> None:
     localizer.plot(found)
 
 
+def test_answers_and_scans_are_compared_and_counted(localizer: Localizer, drive: Path) -> None:
+    """Scan == Scan raised `truth value of an array`, and len() of the answers a TypeError."""
+    one, other = (scan for scan, _ in read_log(drive / "drive.mcap")[:2])
+    assert one == one  # noqa: PLR0124 - which is what is tested
+    assert one != other
+    found = localizer.localize(one)
+    assert found != localizer.localize(other)
+    assert len(found) == len(found.poses)
+
+
 def test_a_masked_range_is_missing() -> None:
     """It was taken for a return, as far as the mask's own value."""
     masked = Scan(np.ma.masked_greater([2.0, 900.0, 3.0], 100.0), -1.57, 0.0087, 30.0)
