@@ -121,6 +121,7 @@ def test_an_option_out_of_range() -> None:
         ("replay a.mcap --compare", "replay", "'--service'"),
         ("play a.mcap --robt r1", "play", "did you mean --robot?"),
         ("models", "models", "rollback"),
+        ("models MODEL", "models", "give list, rollback or accept first: eigenscan models list MODEL"),
         ("fleet status --wat", "fleet status", "--wat"),
     ],
 )
