@@ -294,6 +294,19 @@ def test_an_image_needs_a_scale(tmp_path: Path) -> None:
         Localizer.from_map(tmp_path / "floor.png", metres_per_unit=0.0)
 
 
+@pytest.mark.parametrize(
+    ("given", "words"), [("drive.mcap", "drive.mcap: is a log, no map"), ("", "is empty")]
+)
+def test_what_is_no_map_is_named_as_such(given: str, words: str) -> None:
+    with pytest.raises(MapError, match=words):
+        Localizer.from_map(given)
+
+
+def test_a_map_is_no_log(drive: Path) -> None:
+    with pytest.raises(ValueError, match=r"is a map, no log: give a log$"):
+        read_log(drive / "map.yaml")
+
+
 def test_the_plot_shows_the_scan_on_the_walls(localizer: Localizer, drive: Path) -> None:
     scan, _ = read_log(drive / "drive.mcap")[0]
     found = localizer.localize(scan)
