@@ -53,6 +53,12 @@ def test_an_output_in_ascii_loses_no_finished_work(tmp_path: Path, monkeypatch: 
     assert json.loads(result.stdout)["recording"].endswith("é.mcap")
 
 
+def test_a_terminal_of_no_width_is_of_an_unknown_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _run("simulate --seconds 1 -o drive.mcap", "", tmp_path)
+    monkeypatch.setenv("COLUMNS", "0")
+    assert "odometry" in _run("import drive.mcap -o drove.mcap", "", tmp_path).stdout
+
+
 def test_a_closed_standard_input_is_no_keyboard(tmp_path: Path) -> None:
     _run("simulate --seconds 1 -o drive.mcap", "", tmp_path)
     result = _run("play drive.mcap --wait 0 --speed 100", "<&-", tmp_path)

@@ -28,6 +28,8 @@ def main() -> None:
 
     signal.signal(signal.SIGINT, usual)
     code = 0
+    if os.environ.get("COLUMNS") == "0":  # some terminals do not know their width; nothing fits in none
+        del os.environ["COLUMNS"]
     try:
         with named_output():
             app()
