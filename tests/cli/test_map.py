@@ -91,6 +91,7 @@ def test_scans_whose_walls_fit_elsewhere_too_are_left_out_of_a_composite(tmp_pat
     done = run(log, "-o", out, "--composite", "12")
     assert done.returncode == 0, done.stderr
     assert "not joined to the rest: the scan at" in done.stderr
+    assert "pairs of scans fit otherwise, as in rooms alike: check" in done.stderr
     found = read_trajectory(out.with_suffix(".tum"))
     reference, known = read_trajectory(true).at(found.stamps)
     assert known.sum() >= 3

@@ -59,9 +59,13 @@ class _Parts:
     def _agrees(self) -> bool:
         """Whether each match is as the scans lie, and no wall stands where another scan saw through."""
         joined = self._scans(max(self.part, key=self.part.count))
-        return self._score(joined, joined, self.poses[joined]) >= _SOUND and all(
-            self.part[one] == self.part[other]
-            and not apart(between(self.poses[one], self.poses[other])[None], match.pose)[0]
+        return not self.opposed() and self._score(joined, joined, self.poses[joined]) >= _SOUND
+
+    def opposed(self) -> int:
+        """How many matches are not as the scans lie, or of scans of two parts."""
+        return sum(
+            self.part[one] != self.part[other]
+            or bool(apart(between(self.poses[one], self.poses[other])[None], match.pose)[0])
             for one, other, match in self.matches
         )
 
@@ -138,6 +142,7 @@ def composite(
             f"no {few} of {len(sweeps)} scans fit in one way only: they need to overlap, and more of them may"
         )
     poses = between(parts.poses[joined[0]], parts.poses[joined])
+    opposed = parts.opposed()
     placed = np.array([numbers[k] for k in joined], dtype=np.int64)
     return Mapped(
         _drawn([sweeps[k] for k in placed], poses, resolution),
@@ -147,8 +152,8 @@ def composite(
         left_out=len(sweeps) - len(numbers),
         jumps=0,
         keyframes=len(joined),
-        closures=len(pairs),
-        rejected=0,
+        closures=len(pairs) - opposed,
+        rejected=opposed,
     )
 
 
