@@ -121,6 +121,7 @@ def test_an_option_out_of_range() -> None:
         ("replay a.mcap --compare", "replay", "'--service'"),
         ("play a.mcap --robt r1", "play", "did you mean --robot?"),
         ("models", "models", "rollback"),
+        ("models MODEL", "models", "give list, rollback or accept first: eigenscan models list MODEL"),
         ("fleet status --wat", "fleet status", "--wat"),
     ],
 )
@@ -134,6 +135,7 @@ def test_what_is_typed_wrongly_takes_one_line(typed: str, place: str, part: str)
     [
         ("evaluate map.yaml drive.csv", "evaluate", "map.yaml: is a map, no log: give the log first"),
         ("evaluate drive.csv map.yaml", "evaluate", "drive.csv: the first line must name the columns"),
+        ("evaluate one.csv map.yaml", "evaluate", "one.csv: the log has 1 scan; 3 are needed"),
         ("build map.yaml -o out", "build", "map.yaml: image map.pgm is missing"),
         ("view map.yaml", "view", "map.yaml: is no readable recording: no MCAP; eigenscan import"),
         ("view drive.csv --layout operater", "view", "'operater' is not one of 'operator'"),
@@ -148,6 +150,7 @@ def test_a_usual_mistake_names_the_file_or_option_and_the_fix(
     monkeypatch.chdir(tmp_path)
     Path("map.yaml").write_text("image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n")
     Path("drive.csv").write_text("time,x\n1,2\n")
+    Path("one.csv").write_text("time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n5,0,1,1,2\n")
     _expect_one_line(eigenscan(*typed.split()), place, part)
 
 
@@ -206,9 +209,9 @@ def test_a_site_that_no_key_can_have_ends_the_command(command: str) -> None:
 @pytest.mark.parametrize("command", ["simulate", "evaluate", "run"])
 def test_a_file_that_is_no_map(tmp_path: Path, command: str) -> None:
     (tmp_path / "drive.bag").write_bytes(b"#ROSBAG V2.0\n\xbb\xcd" * 9)
-    (tmp_path / "drive.csv").write_text(
-        "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n1,0,1,2,2\n"
-    )
+    scans = "".join(f"{n},0,1,2,2\n" for n in range(3))
+    columns = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1"
+    (tmp_path / "drive.csv").write_text(f"{columns}\n{scans}")
     log = ["--log", tmp_path / "drive.csv"] if command == "evaluate" else ["--out", tmp_path / "out"]
     result = eigenscan(command, "--map", tmp_path / "drive.bag", *log)
     _expect_one_line(result, command, "drive.bag", "map_server yaml")

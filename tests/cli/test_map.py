@@ -82,6 +82,24 @@ def test_a_few_scans_of_a_drive_are_joined_without_odometry(tmp_path: Path) -> N
     assert read_map(out).free_area > 10
 
 
+@pytest.mark.parametrize("seed", ["1", "3"])
+def test_scans_whose_walls_fit_elsewhere_too_are_left_out_of_a_composite(tmp_path: Path, seed: str) -> None:
+    """Of 12 scans of rooms of equal corners, all were joined, five of them turned or metres off."""
+    log, out = tmp_path / "drive.mcap", tmp_path / "few.yaml"
+    true = tmp_path / "drive.tum"
+    eigenscan("simulate", "--seconds", "20", "--seed", seed, "-o", log, "--truth", true)
+    done = run(log, "-o", out, "--composite", "12")
+    assert done.returncode == 0, done.stderr
+    assert "not joined to the rest: the scan at" in done.stderr
+    assert "pairs of scans fit otherwise, as in rooms alike: check" in done.stderr
+    found = read_trajectory(out.with_suffix(".tum"))
+    reference, known = read_trajectory(true).at(found.stamps)
+    assert known.sum() >= 3
+    step = between(between(reference[0], reference[known]), between(found.poses[0], found.poses[known]))
+    assert np.hypot(step[:, 0], step[:, 1]).max() < 0.2
+    assert np.abs(step[:, 2]).max() < 0.1
+
+
 def test_a_log_whose_beams_all_came_back_empty_is_refused_by_name(tmp_path: Path) -> None:
     log = write(tmp_path / "blind.clf", [robotlaser(np.full(180, 81.0), k) for k in range(1, 20)])
     done = run(log, "-o", tmp_path / "map.yaml")

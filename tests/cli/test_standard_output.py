@@ -1,5 +1,6 @@
 """Standard output that ends early, is full or is closed: words that fit, and no trace."""
 
+import json
 import shlex
 import subprocess
 import sys
@@ -39,6 +40,37 @@ def test_a_full_standard_output_is_not_taken_for_what_is_written(tmp_path: Path)
     result = _run("import drive.mcap -o a.mcap", "> /dev/full", tmp_path)
     assert result.returncode == 2
     assert result.stderr.startswith("eigenscan import: standard output: No space left")
+
+
+def test_an_output_in_ascii_loses_no_finished_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A degree sign ended `import` and `evaluate` after all their work."""
+    _run("simulate --seconds 1 -o drive.mcap", "", tmp_path)
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    result = _run("import drive.mcap -o drove.mcap", "", tmp_path)
+    assert (result.returncode, result.stderr) == (0, "")
+    result = _run("import drive.mcap -o é.mcap --json -", "", tmp_path)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert json.loads(result.stdout)["recording"].endswith("é.mcap")
+
+
+def test_a_terminal_of_no_width_is_of_an_unknown_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _run("simulate --seconds 1 -o drive.mcap", "", tmp_path)
+    monkeypatch.setenv("COLUMNS", "0")
+    assert "odometry" in _run("import drive.mcap -o drove.mcap", "", tmp_path).stdout
+
+
+def test_a_closed_standard_input_is_no_keyboard(tmp_path: Path) -> None:
+    _run("simulate --seconds 1 -o drive.mcap", "", tmp_path)
+    result = _run("play drive.mcap --wait 0 --speed 100", "<&-", tmp_path)
+    assert (result.returncode, result.stderr.strip()) == (0, "")
+
+
+def test_a_working_folder_that_is_gone_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    result = _run("--version", f"; rmdir {folder}; {shlex.quote(str(EIGENSCAN))} doctor --json -", folder)
+    assert result.returncode == 2
+    assert f"{folder}: this folder is gone" in result.stderr
 
 
 @pytest.mark.parametrize("typed", COMMANDS)

@@ -1,6 +1,7 @@
 """The commands of the pages work: it is run, or where it needs a robot, at least read."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +20,11 @@ def _name(block: Block) -> str:
     return f"{block.page}:{block.line}"
 
 
-def _run(command: list[str], page: str, folder: Path) -> None:
+PRINTED = re.compile(r"^print\(.*\)\s+# (<.*?)\.\.\.$", re.MULTILINE)
+"""What a page shows of an object that a program prints."""
+
+
+def _run(command: list[str], page: str, folder: Path) -> str:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = os.environ | {"PATH": path, "HOME": str(folder), "MPLBACKEND": "Agg"}
     done = subprocess.run(
@@ -33,6 +38,7 @@ def _run(command: list[str], page: str, folder: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, f"{page}: {command[-1]}\n{done.stdout[-1000:]}\n{done.stderr[-2000:]}"
+    return done.stdout
 
 
 @pytest.fixture
@@ -58,7 +64,9 @@ def test_what_a_page_states_works(page: str, tmp_path: Path) -> None:
         if block.language == "sh":
             _run(["bash", "-euo", "pipefail", "-c", block.code], page, tmp_path)
     if program := "\n".join(block.code for block in mine if block.language == "python"):
-        _run([sys.executable, "-W", "error::SyntaxWarning", "-c", program], page, tmp_path)
+        printed = _run([sys.executable, "-W", "error::SyntaxWarning", "-c", program], page, tmp_path)
+        for words in PRINTED.findall(program):
+            assert words in printed, page
 
 
 def test_the_pages_of_the_menu_are_looked_at() -> None:

@@ -53,6 +53,7 @@ def test_back_and_back_again_and_forth(three: tuple[Path, list[str]]) -> None:
     done = run("rollback", folder)
     assert done.returncode == 2
     assert "no older version is kept" in done.stderr
+    assert f"; newer: {third[:12]}, {second[:12]}" in done.stderr
     assert run("rollback", folder, third[:8]).returncode == 0
     assert in_use(folder) == third
 

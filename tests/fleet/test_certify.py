@@ -125,7 +125,10 @@ def test_what_it_refuses_in_one_line_and_leaves_as_it_was(
     [
         (("certify",), "--address"),
         (("certify", "--site", "a b", "--address", "h"), "site = 'a b'"),
-        (("certify", "--site", "s", "--address", "h:7447"), "without a port"),
+        (
+            ("certify", "--site", "s", "--address", "h:7447"),
+            "or an IP address, without a port\n",
+        ),
         (("configure",), "fleet certify"),
         (("revoke", "r17"), "fleet certify"),
     ],
@@ -143,6 +146,10 @@ def test_no_fleet_and_nothing_left(tmp_path: Path, arguments: tuple[str, ...], p
         ("[air]\nscans = 1.0", ("air.scans", "scan_raw")),
         ("[air]\nscan = true", ("air.scan = True", "valid number")),
         ("[air]\nscan = -1", ("air.scan", "greater than or equal")),
+        ("[air]\npose = inf", ("air.pose = inf", "less than or equal to 1000")),
+        ("[air]\npose = 1e9", ("air.pose", "less than or equal to 1000")),
+        ('[groups]\nr17 = "r17"', ("groups.r17: is a robot's name as well",)),
+        ('[groups]\nlab = "a-*"\nlib = "a-1"', ("groups.lab and groups.lib: a-* and a-1 fit the same",)),
         ("[air]\nmodel = 1.0", ("air.model", "robots")),
         ("[robots.r99]\nscan = 1.0", ("robots.r99", "r17")),
         ("speed = 1", ("speed",)),

@@ -51,7 +51,26 @@ def test_a_robot_of_which_nothing_is_there_is_one_fault() -> None:
     view = site(scan_ingest="no scan")
     view.expected = frozenset({"r17", "r18"})
     (found,) = [each for each in diagnose(view) if each.where == "robot r18"]
-    assert "nothing of it is there" in found.what
+    assert "nothing of it is there: it or its link is off" in found.what
+    assert "doctor --site s --zenoh" in found.mend
+
+
+def test_a_robot_that_gets_models_does_not_miss_the_mapbuilder_that_it_cannot_see() -> None:
+    """On a robot the doctor advised to start a mapbuilder, while the site's was at work."""
+    view = site(router="routing", tracker="no scan")
+    (found,) = [each for each in diagnose(view) if each.where == "site s"]
+    assert "certificate may be revoked" in found.what
+    assert "at the site: eigenscan doctor --site s" in found.mend
+    view.model_versions.append("a")
+    assert not [each for each in diagnose(view) if each.where == "site s"]
+
+
+def test_a_site_without_mapbuilder_needs_one() -> None:
+    view = site(tracker="no scan")
+    view.services["router", "site"] = Service("router", "site", {str(CONTRACT_VERSION)})
+    (found,) = [each for each in diagnose(view) if each.where == "site s"]
+    assert "no mapbuilder" in found.what
+    assert "eigenscan-mapbuilder --site s" in found.mend
 
 
 def test_a_revoked_robot_that_is_still_received_is_a_fault() -> None:

@@ -64,7 +64,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
     fleet.command("certify", "--site", SITE, "--address", "localhost", *robots)
     settings = fleet.folder / "fleet.toml"
     text = settings.read_text().replace("[groups]", f'[groups]\n{LAB} = "{GROUP}"')
-    settings.write_text(text.replace("scan = 2.0", "pose = inf\ntracks = inf\nadvice = inf"))
+    settings.write_text(text.replace("scan = 2.0", "pose = 1000.0\ntracks = 1000.0\nadvice = 1000.0"))
     assert f"groups/{LAB}" in fleet.command("certify").stdout
     for machine in ("site", *ROBOTS, f"groups/{LAB}"):
         fleet.install(machine)

@@ -238,6 +238,16 @@ def test_a_scan_that_shows_nothing_has_no_poses(localizer: Localizer) -> None:
     localizer.plot(found)
 
 
+def test_answers_and_scans_are_compared_and_counted(localizer: Localizer, drive: Path) -> None:
+    """Scan == Scan raised `truth value of an array`, and len() of the answers a TypeError."""
+    one, other = (scan for scan, _ in read_log(drive / "drive.mcap")[:2])
+    assert one == one  # noqa: PLR0124 - which is what is tested
+    assert one != other
+    found = localizer.localize(one)
+    assert found != localizer.localize(other)
+    assert len(found) == len(found.poses)
+
+
 def test_a_masked_range_is_missing() -> None:
     """It was taken for a return, as far as the mask's own value."""
     masked = Scan(np.ma.masked_greater([2.0, 900.0, 3.0], 100.0), -1.57, 0.0087, 30.0)
@@ -301,6 +311,19 @@ def test_an_image_needs_a_scale(tmp_path: Path) -> None:
         Localizer.from_map(tmp_path / "floor.png")
     with pytest.raises(MapError, match="metres per pixel"):
         Localizer.from_map(tmp_path / "floor.png", metres_per_unit=0.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"), [("drive.mcap", "drive.mcap: is a log, no map"), ("", "is empty")]
+)
+def test_what_is_no_map_is_named_as_such(given: str, words: str) -> None:
+    with pytest.raises(MapError, match=words):
+        Localizer.from_map(given)
+
+
+def test_a_map_is_no_log(drive: Path) -> None:
+    with pytest.raises(ValueError, match=r"is a map, no log: give a log$"):
+        read_log(drive / "map.yaml")
 
 
 def test_the_plot_shows_the_scan_on_the_walls(localizer: Localizer, drive: Path) -> None:

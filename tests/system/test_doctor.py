@@ -98,7 +98,7 @@ def test_a_site_at_work_is_well_and_then_each_fault_is_found(house: House) -> No
         eventually(names_odometry_alone, "two words on the odometry", found)
         robot.odometry.set()
         house.kill("tracker")
-        nobody = ("robot lost", "nothing of it is there: it is off, or its link is")
+        nobody = ("robot lost", "nothing of it is there: it or its link is off")
         until_it_finds(house, nobody, (where, "no tracker"), flags=("--robot", "lost"))
 
 

@@ -37,3 +37,11 @@ def test_where_no_wall_is_in_reach_none_is_in_sight() -> None:
     found = quality(room(1), POINTS, 1.0)
     assert found.walls_in_sight == 0.0
     assert np.isnan(found.usual_range_m)
+
+
+def test_a_map_that_is_read_inside_out_is_suspected() -> None:
+    """`negate: 1` on an ordinary map was built, of the insides of its walls."""
+    usual = room(3)
+    turned = np.where(usual.cells == FREE, OCCUPIED, FREE).astype(np.uint8)
+    assert not quality(usual, POINTS, 20.0).strips
+    assert quality(GridMap(turned, usual.resolution, usual.origin), POINTS, 20.0).strips

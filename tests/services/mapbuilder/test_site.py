@@ -9,9 +9,10 @@ from eigenscan.eigenspace.model import NO_WALL, ModelError, RegionModel
 from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, read_map
 from eigenscan.geometry.raycast import RayCaster
+from eigenscan.mapbuilder.backdrop import Backdrop
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.options import MapbuilderOptions
-from eigenscan.mapbuilder.picture import draw_regions
+from eigenscan.mapbuilder.picture import _colour, draw_regions
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.shards import shards
 from eigenscan.mapbuilder.site import Plan, build_site, lay_out
@@ -112,6 +113,18 @@ def test_the_picture_shows_each_region_in_its_own_colour(office: GridMap) -> Non
     hues = {tuple(p) for p in (coloured // 24).tolist()}
     assert len(coloured) > 0.2 * len(pixels)
     assert len(hues) >= 3
+
+
+def test_a_region_under_others_keeps_its_outline_in_the_picture(office: GridMap) -> None:
+    """Of one of 24 m2 a strip was to be seen."""
+    areas = lay_out(office, QUICK).areas
+    with Image.open(io.BytesIO(draw_regions(office, areas))) as image:
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    colours = np.array([_colour(number) for number in range(len(areas))])
+    corners = np.round([at for area in areas for at in Backdrop(office).pixels(area.outline)]).astype(int)
+    seen = pixels[corners[:, 1], corners[:, 0]]
+    drawn = np.abs(seen[:, None] - colours).max(axis=-1).min(axis=1) < 10
+    assert drawn.mean() > 0.95
 
 
 def published(core: MapbuilderCore) -> list[Envelope]:

@@ -211,3 +211,12 @@ def test_a_robot_that_drove_where_the_log_has_no_scans_begins_a_new_part(
     # one that stood meanwhile goes on
     stood = [replace(s, stamp=s.stamp + 60_000_000_000) for s in sweeps[40:70]]
     assert {frame.part for frame in chained([*sweeps[:40], *stood]).keyframes} == {0}
+
+
+def test_all_scans_of_a_robot_that_stands_draw_the_map(grid: GridMap, way: np.ndarray) -> None:
+    """One was drawn, of 400 that were said to be in the map: far walls had too few rays."""
+    stand = np.repeat(way[:1], 40, axis=0)
+    whole = survey([replace(one, odometry=np.zeros(3)) for one in scans(grid, stand)])
+    alone = survey([replace(one, odometry=np.zeros(3)) for one in scans(grid, stand[:2])])
+    walls = [np.count_nonzero(each.grid.cells == OCCUPIED) for each in (whole, alone)]
+    assert walls[0] > 1.3 * walls[1]

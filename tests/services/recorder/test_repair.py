@@ -116,7 +116,7 @@ def test_a_damaged_chunk_costs_itself_alone(whole: Path, tmp_path: Path) -> None
         list(read(damaged))
     done = eigenscan("repair", damaged, "-o", tmp_path / "saved.mcap")
     assert done.returncode == 0, done.stderr
-    assert "damaged chunks, lost: 1" in done.stdout
+    assert "damaged chunks, lost: 1, messages lost: 10" in done.stdout
     assert stamps(tmp_path / "saved.mcap") == [n for n in range(1, COUNT + 1) if not 70 < n <= 80]
 
 
@@ -137,6 +137,7 @@ def test_a_hole_across_chunks_costs_those_that_it_touches(whole: Path, tmp_path:
     lost = range(71, 71 + 10 * touched)
     assert stamps(tmp_path / "saved.mcap") == [n for n in range(1, COUNT + 1) if n not in lost]
     assert (found.lost_chunks, found.cut) == (touched, False)
+    assert found.lost_messages == len(lost)
 
 
 def test_an_index_that_points_anywhere_does_no_harm(

@@ -421,7 +421,26 @@ def test_a_file_that_was_cut_is_replayed_as_far_as_it_goes(
     cut.write_bytes(whole[: len(whole) * 7 // 10])
     ended = eigenscan("replay", cut, "--service", "projector", "--compare")
     assert ended.code == 0, ended.out + ended.err
-    assert "note: its writer did not close it: replayed as far as it goes" in ended.out
+    assert "note: its writer did not close it: replayed as far as it goes, " in ended.out
+    assert "what the recorder missed" not in ended.out
+
+
+def test_a_file_that_breaks_off_before_an_input_is_named(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    """Its recorder was blamed: `record it as well`."""
+    whole = run.write(tmp_path / "a.mcap", without(run.messages, HYPOTHESES))
+    (tmp_path / "cut.mcap").write_bytes(whole.read_bytes()[:-400])
+    ended = eigenscan("replay", tmp_path / "cut.mcap", "--service", "tracker", "--compare")
+    assert "holds no hypotheses, an input of tracker: the file breaks off after" in ended.err
+
+
+def test_two_copies_in_a_folder_are_named(recording: Path, eigenscan: Command, tmp_path: Path) -> None:
+    for name in ("a.mcap", "b.mcap"):
+        (tmp_path / name).write_bytes(recording.read_bytes())
+    ended = eigenscan("replay", tmp_path, "--service", "tracker", "--compare")
+    assert ended.code == 2
+    assert "a.mcap and b.mcap hold the same messages" in ended.err
 
 
 @pytest.mark.parametrize("missing", [(MAP,), (MODEL,), (MODEL_SET,), (MAP, MODEL, MODEL_SET)])

@@ -170,6 +170,12 @@ def build(
         )
     found = quality(grid, layout.positions.points, IN_SIGHT_M)
     _summarize(message, layout, found, built, out, time.perf_counter() - began, json_file)
+    if found.strips:
+        typer.echo(
+            "most of the map is occupied, and its free ground is as narrow as walls: is negate in its yaml "
+            "right, or the image black on white?",
+            err=True,
+        )
 
 
 def _stacked(maps: Sequence[tuple[str, GridMap]]) -> tuple[GridMap, tuple[Floor, ...]]:

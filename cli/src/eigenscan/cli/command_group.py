@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import importlib
+import os
 import typing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -50,6 +51,9 @@ def _described(error: Exception, command: str, is_known: bool) -> tuple[str, int
     if "cannot cache function" in str(error):
         line = f"{command}: compiled code cannot be kept: set NUMBA_CACHE_DIR to a writable folder"
         return line, EXIT_USAGE
+    if isinstance(error, FileNotFoundError) and error.filename is None:  # of where we are
+        folder = os.environ.get("PWD", "the working folder")
+        return f"{command}: {folder}: this folder is gone: change to another", EXIT_USAGE
     if by_users(error):
         return f"{command}: {one_line(error)}", EXIT_USAGE
     line = f"{command}: {type(error).__name__}: {one_line(error)}"

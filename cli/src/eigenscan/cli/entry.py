@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import codecs
 import io
 import os
 import signal
@@ -27,6 +28,8 @@ def main() -> None:
 
     signal.signal(signal.SIGINT, usual)
     code = 0
+    if os.environ.get("COLUMNS") == "0":  # some terminals do not know their width; nothing fits in none
+        del os.environ["COLUMNS"]
     try:
         with named_output():
             app()
@@ -80,7 +83,8 @@ def named_output() -> Iterator[None]:
     sys.stdout = io.TextIOWrapper(
         io.BufferedWriter(_Named(usual.fileno(), "wb", closefd=False)),
         encoding=usual.encoding,
-        errors=usual.errors,
+        # a finished work is not lost for a sign, such as °, that an output in ASCII has not
+        errors=usual.errors if codecs.lookup(usual.encoding).name == "utf-8" else "replace",
         line_buffering=usual.line_buffering,
     )
     try:

@@ -45,12 +45,22 @@ def write_figures(figures: Any, target: Path | None) -> None:
     """Writes `figures` as JSON to `target`, if given; all numbers must be finite."""
     if target is None:
         return
-    text = json.dumps(figures, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    is_file = wants_words(target)  # a terminal may know ASCII alone
+    text = json.dumps(figures, indent=1, allow_nan=False, ensure_ascii=not is_file and not _shows("°")) + "\n"
     text = text.encode("utf-8", "backslashreplace").decode()  # names of files that are no UTF-8
-    if wants_words(target):
+    if is_file:
         target.write_text(text, encoding="utf-8")
     else:
         typer.echo(text, nl=False)
+
+
+def _shows(text: str) -> bool:
+    """Whether standard output can show `text`."""
+    try:
+        text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 class Events:

@@ -106,7 +106,7 @@ def map_log(
     target.with_suffix(".tum").write_text(scans.trajectory(mapped.numbers, mapped.poses), encoding="utf-8")
     target.with_suffix(".png").write_bytes(draw_way(mapped, located.grid if located else None))
     sure = len(located.numbers) if located else None
-    _summarize(scans, mapped, sure, target, time.perf_counter() - began, json_file)
+    _summarize(scans, mapped, sure, target, time.perf_counter() - began, json_file, composed=of is not None)
 
 
 def _check_outputs(target: Path, inputs: list[Path], force: bool) -> None:
@@ -137,7 +137,14 @@ def _located(
 
 
 def _summarize(
-    scans: Scans, mapped: Mapped, sure: int | None, target: Path, seconds: float, json_file: Path | None
+    scans: Scans,
+    mapped: Mapped,
+    sure: int | None,
+    target: Path,
+    seconds: float,
+    json_file: Path | None,
+    *,
+    composed: bool,
 ) -> None:
     odometry = sum(sweep.odometry is not None for sweep in scans.sweeps)
     on_map = {} if sure is None else {"located": f"{sure} of {len(scans.sweeps)} on the given map"}
@@ -174,7 +181,12 @@ def _summarize(
     write_figures(figures, json_file)
     if mapped.left_out or scans.set_aside:
         typer.echo(f"left out: {mapped.left_out} scans with too few walls{scans.set_aside}", err=True)
+    if composed and mapped.rejected:
+        picture = target.with_suffix(".png")
+        typer.echo(
+            f"{mapped.rejected} pairs of scans fit otherwise, as in rooms alike: check {picture}", err=True
+        )
     if mapped.jumps:
         typer.echo(f"odometry jumped {mapped.jumps} times: there the scans alone count", err=True)
     for first, last in mapped.unjoined:
-        typer.echo(f"not joined to the rest: {scans.span(first, last)}: no overlap was found", err=True)
+        typer.echo(f"not joined to the rest: {scans.span(first, last)}: no sure overlap was found", err=True)

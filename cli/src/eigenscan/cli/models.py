@@ -24,10 +24,17 @@ class Action(StrEnum):
     ACCEPT = "accept"
 
 
+def _action(text: str) -> Action:
+    if text not in {*Action}:
+        raise typer.BadParameter(f"give list, rollback or accept first: eigenscan models list {text}")
+    return Action(text)
+
+
 def models(
     action: Annotated[
         Action,
         typer.Argument(
+            parser=_action,
             metavar="list|rollback|accept",
             help="list the versions, go back to one, or accept what is proposed",
         ),

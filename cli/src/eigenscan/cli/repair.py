@@ -43,7 +43,7 @@ def repair(
         return
     lost = [
         f"damaged chunks, lost: {found.lost_chunks}" if found.lost_chunks else "",
-        f"messages of channels that they name: {found.lost_messages}" if found.lost_messages else "",
+        f"messages lost: {found.lost_messages}" if found.lost_messages else "",
         "it breaks off" if found.cut else "",
         f"{found.beyond} bytes after its end, left out: another recording?" if found.beyond else "",
     ]

@@ -84,7 +84,8 @@ def choose(found: Sequence[Version], version: str | None, folder: Path) -> Versi
     if version is None:
         older = [v for v in kept if v.built < current.built]
         if not older:
-            raise ModelError(f"{folder}: no older version is kept beside {current.version[:12]}")
+            newer = "; newer: " + ", ".join(v.version[:12] for v in kept) if kept else ""
+            raise ModelError(f"{folder}: no older version is kept beside {current.version[:12]}{newer}")
         return older[0]
     return _named(kept, version, "those kept", folder)
 

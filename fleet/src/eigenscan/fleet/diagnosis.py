@@ -57,7 +57,17 @@ def diagnose(view: FleetView) -> list[Finding]:
 def _of_the_site(view: FleetView) -> Iterator[Finding]:
     builders = [each for each in view.services.values() if each.name == "mapbuilder" and each.contracts]
     where = f"site {view.site}"
-    if not builders:
+    routers = [each.instance for each in view.services.values() if each.name == "router" and each.contracts]
+    if not builders and view.model_version:
+        return  # a robot's certificate shows no mapbuilder, only what it sends
+    if not builders and routers == view.robot_names():
+        yield Finding(
+            where,
+            f"no models reach {routers[0]}: its link passes nothing, its certificate may be revoked, or "
+            "there is no mapbuilder",
+            f"at the site: eigenscan doctor --site {view.site} --zenoh FILE, with the operator's file",
+        )
+    elif not builders:
         yield Finding(
             where,
             "no mapbuilder: a projector that starts now gets no model",
@@ -148,8 +158,8 @@ def _of_a_robot(view: FleetView, robot: str) -> Iterator[Finding]:
     if not any(there.values()):
         yield Finding(
             where,
-            "nothing of it is there: it is off, or its link is",
-            "on the robot: eigenscan doctor --zenoh FILE, with the file of its services",
+            "nothing of it is there: it or its link is off",
+            f"on the robot: eigenscan doctor --site {view.site} --zenoh FILE, with the file of its services",
         )
         return
     for name, services in there.items():

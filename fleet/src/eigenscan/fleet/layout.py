@@ -10,6 +10,7 @@ revoked/         certificates that are shut out
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -27,13 +28,14 @@ from eigenscan.fleet.configuration import INSTALLED
 from eigenscan.runtime.errors import FailedError, UsageError, one_line
 from eigenscan.runtime.settings import explained, parse_toml
 from eigenscan.schemas.channels import CHANNELS, SCAN, Role, by_name, is_chunk
-from eigenscan.schemas.group import holds, patterns
+from eigenscan.schemas.group import chunk_of, holds, patterns
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 __all__ = [
     "INSTALLED",
     "begin",
+    "check_groups",
     "checked",
     "configure",
     "in_force",
@@ -60,7 +62,8 @@ hold_back_floods = true
 [groups]
 # lab = "a-*,b-7"
 
-# Samples a second that a robot may send to the site, in place of the contract's; 0: none.
+# Samples a second that a robot may send to the site, in place of the contract's; 0: none,
+# 1000 at most.
 # Of all keys of the channel together, so of all lidars.
 [air]
 scan = 2.0  # the mapbuilder needs them to keep the map true
@@ -107,7 +110,7 @@ def _host(name: str) -> str:
     return name
 
 
-Hertz = Annotated[float, Field(ge=0.0, strict=True)]  # strict: true is no number
+Hertz = Annotated[float, Field(ge=0.0, le=1000.0, strict=True)]  # strict: true is no number
 Rates = dict[Annotated[str, AfterValidator(_channel)], Hertz]
 RobotName = Annotated[str, AfterValidator(_robot)]
 GroupName = Annotated[str, AfterValidator(_robot), AfterValidator(_chunk)]
@@ -152,8 +155,17 @@ def checked(content: Mapping[str, Any], source: str) -> Fleet:
     try:
         return Fleet.model_validate(content)
     except ValidationError as error:
-        faults = "; ".join(explained(fault, _place(fault)) for fault in error.errors())
+        all_faults = error.errors()
+        faults = "; ".join(
+            explained(fault, _place(fault)) for fault in all_faults if not _is_of_its_parts(fault, all_faults)
+        )
         raise UsageError(f"{source}: {faults}") from error
+
+
+def _is_of_its_parts(fault: ErrorDetails, faults: Sequence[ErrorDetails]) -> bool:
+    """Whether a list is refused because each of its parts is: only those are of interest."""
+    here = fault["loc"]
+    return any(len(other["loc"]) > len(here) and other["loc"][: len(here)] == here for other in faults)
 
 
 def _place(fault: ErrorDetails) -> str:
@@ -211,8 +223,31 @@ def services(folder: Path) -> dict[Role, Path]:
     }
 
 
+def check_groups(folder: Path, names: Sequence[str] = ()) -> None:
+    """Raises UsageError where a group has the name of a robot, of `names` too, or two groups a robot."""
+    from zenoh import KeyExpr
+
+    settings = folder / "fleet.toml"
+    # also a revoked group's: its robot could not be revoked
+    if both := sorted({*names, *robots(folder)} & read(folder).groups.keys()):
+        raise UsageError(f"{settings}: groups.{both[0]}: is a robot's name as well: choose another")
+    for (one, its), (other, theirs) in itertools.combinations(in_force(folder).groups.items(), 2):
+        for each, another in itertools.product(patterns(its), patterns(theirs)):
+            if KeyExpr(chunk_of(each)).intersects(chunk_of(another)):
+                raise UsageError(
+                    f"{settings}: groups.{one} and groups.{other}: {each} and {another} fit the same robots: "
+                    "let each robot be in one group"
+                )
+
+
 def configure(folder: Path) -> None:
-    """Writes the configuration of every router and service of the fleet."""
+    """Writes the configuration of every router and service of the fleet. Raises UsageError."""
+    check_groups(folder)
+    _configure(folder)
+
+
+def _configure(folder: Path) -> None:
+    """The same of groups as they are: a fault in them must keep nobody in who is shut out."""
     fleet, members = in_force(folder), robots(folder)
     if unknown := sorted(set(fleet.robots) - set(members)):
         known = ", ".join(members)
@@ -281,7 +316,7 @@ def revoke(folder: Path, name: str) -> Path:
             held.with_suffix(".json5").unlink(missing_ok=True)
         else:
             shutil.rmtree(held.parent)
-        configure(folder)
+        _configure(folder)
     return kept
 
 

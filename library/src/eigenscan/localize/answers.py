@@ -19,7 +19,7 @@ _STATES: dict[int, State] = {
 }
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Hypotheses:
     """Poses at which one scan may have been taken, most likely first; none if the projector lists none.
 
@@ -36,6 +36,9 @@ class Hypotheses:
     scan: Scan
     probabilities: Array
     none_probability: float
+
+    def __len__(self) -> int:
+        return len(self.poses)
 
     def __repr__(self) -> str:
         if not len(self.poses):
@@ -58,7 +61,7 @@ class Hypotheses:
         )
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Estimate:
     """The robot's pose after all tracked scans. Act on `pose` only if `state` is "localized".
 

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from eigenscan.tracker.core import TrackerCore
     from matplotlib.axes import Axes
 
+_LOGS = (".mcap", ".bag", ".clf", ".csv", ".db3")
+"""Ends of the names of logs, which people give for the map."""
 _ROBOT = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT}
 
 
@@ -97,6 +99,9 @@ class Localizer:
         place = Path(path)
         if metres_per_unit is not None:
             _be_a_number(metres_per_unit, "metres_per_unit", "m")
+        if not str(path) or place.suffix.lower() in _LOGS:
+            what = "is a log, no map" if str(path) else "the path is empty"
+            raise MapError(f"{path or repr(path)}: {what}: give a map or a model folder")
         if place.is_dir():
             return cls(read_models(place), method)
         try:

@@ -26,10 +26,13 @@ def read_log(
     'eigenscan-localize[logs]'.
     """
     with needs("eigenscan-localize[logs]"):
-        from eigenscan.workbench.logs import LogOptions, open_log
+        from eigenscan.workbench.logs import LogError, LogOptions, open_log
         from eigenscan.workbench.logs.scans import odometry_at
     scans, steps = list[Scan](), list[tuple[int, NDArray[np.float64]]]()
-    log = open_log(Path(path), LogOptions(lidars=(lidar,) if lidar else ()))
+    try:
+        log = open_log(Path(path), LogOptions(lidars=(lidar,) if lidar else ()))
+    except LogError as error:  # which has words of the command line
+        raise LogError(str(error).replace("give the log first, then the map", "give a log")) from error
     for envelope in log.envelopes():
         if envelope.channel is ODOMETRY:
             steps.append((envelope.stamp, from_pose3(envelope.open(Odometry).pose)))

@@ -27,7 +27,7 @@ class ScanError(ValueError):
     """A scan that cannot be used; the message names the fault."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Scan:
     """A sweep: beam j looks along `angle_min + j * angle_increment` in the sensor's frame.
 

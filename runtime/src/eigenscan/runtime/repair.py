@@ -12,7 +12,7 @@ from eigenscan.runtime.recording.files import refuse_bomb
 from eigenscan.runtime.whole import whole
 from mcap.exceptions import EndOfFile, InvalidMagic
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
@@ -25,14 +25,23 @@ class Salvage:
     messages: int = 0
     lost_chunks: int = 0
     """Chunks that do not inflate, or whose checksum is wrong."""
-    lost_messages: int = 0
+    unnamed_messages: int = 0
     """Messages of channels that only a lost chunk defined."""
+    stated_messages: int | None = None
+    """Messages that the file had, by its own summary, if that is readable."""
     cut: bool = False
     """Whether the file ends before its end mark, or becomes unreadable at some place."""
     beyond: int = 0
     """Bytes after its proper end: of another recording, say."""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
+
+    @property
+    def lost_messages(self) -> int | None:
+        """Messages that could not be saved; None: nobody knows how many."""
+        if self.stated_messages is not None and self.stated_messages >= self.messages:
+            return self.stated_messages - self.messages
+        return None if self.cut or self.lost_chunks else self.unnamed_messages
 
 
 Moved = Callable[[int], object]
@@ -54,6 +63,8 @@ def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> S
                 found.schemas[record.id] = record
             elif isinstance(record, Channel):
                 found.channels[record.id] = record
+            elif isinstance(record, Statistics):
+                found.stated_messages = record.message_count
         found.lost_chunks, found.cut = 0, False
         with whole(target) as fresh:
             with fresh.open("wb") as file:
@@ -117,6 +128,8 @@ def _after(file: IO[bytes], place: int, found: Salvage, moved: Moved) -> Iterato
         return
     yield from index.schemas.values()
     yield from index.channels.values()
+    if index.statistics:
+        yield index.statistics
     for begins in sorted({one.chunk_start_offset for one in index.chunk_indexes}):
         if not place <= begins < found.size:  # before it, or an index that nobody wrote in earnest
             continue
@@ -161,7 +174,7 @@ def _rewrite(damaged: Path, file: IO[bytes], found: Salvage, moved: Moved) -> No
             )
         elif isinstance(record, Message):
             if record.channel_id not in ids and not _register(writer, ids, record.channel_id, found):
-                found.lost_messages += 1
+                found.unnamed_messages += 1
                 continue
             writer.add_message(
                 ids[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence

@@ -69,7 +69,7 @@ def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Se
     """The fleet that is there or is to be, with new robots. Raises UsageError before anything is written."""
     from eigenscan.fleet import layout
 
-    settings, groups = folder / "fleet.toml", set[str]()
+    settings = folder / "fleet.toml"
     if not settings.exists():
         if site is None or not addresses:
             raise UsageError(
@@ -79,10 +79,8 @@ def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Se
     elif site is not None or addresses:
         raise UsageError(f"--site, --address: {settings} has them; change them there")
     else:
-        wanted, groups = layout.in_force(folder).model_dump(), set(layout.read(folder).groups)
-    both = {*names, *layout.robots(folder)} & groups  # also a revoked group's: its robot could not be revoked
-    if both:
-        raise UsageError(f"{settings}: groups.{both.pop()}: is a robot's name as well: choose another")
+        wanted = layout.in_force(folder).model_dump()
+        layout.check_groups(folder, names)
     for name in names:
         if name in layout.robots(folder) or names.count(name) > 1:
             raise UsageError(

@@ -21,12 +21,13 @@ def draw_regions(grid: GridMap, areas: Sequence[Area]) -> bytes:
     image = view.image()
     shade = Image.new("RGBA", image.size, (0, 0, 0, 0))
     pen = ImageDraw.Draw(shade)
+    loops = {n: view.pixels(area.outline) for n, area in enumerate(areas) if len(area.outline) > 2}
+    for number, loop in loops.items():
+        pen.polygon(loop, fill=(*_colour(number), 60))
+    for number, loop in loops.items():  # over all colours: one that lies under others keeps its outline
+        pen.line([*loop, loop[0]], fill=(*_colour(number), 255), width=2)
     for number, area in enumerate(areas):
         colour = _colour(number)
-        if len(area.outline) > 2:
-            loop = view.pixels(area.outline)
-            pen.polygon(loop, fill=(*colour, 60))
-            pen.line([*loop, loop[0]], fill=(*colour, 255), width=2)
         for x, y in view.pixels(area.positions.points):
             pen.rectangle((x - 0.5, y - 0.5, x + 0.5, y + 0.5), fill=(*colour, 200))
     image = Image.alpha_composite(image, shade)
@@ -64,6 +65,6 @@ def _name(pen: ImageDraw.ImageDraw, view: Backdrop, area: Area) -> None:
 def _legend(pen: ImageDraw.ImageDraw, view: Backdrop, areas: Sequence[Area]) -> None:
     view.legend(
         pen,
-        f"{len(areas)} regions, {view.grid.free_area:.0f} m2 free; each colour is one region with its "
-        f"overlap,\neach dot a position with its panorama",
+        f"{len(areas)} regions, {view.grid.free_area:.0f} m2 free; each outline is one region, its area "
+        f"with what it shares with others;\neach dot a position with its panorama",
     )

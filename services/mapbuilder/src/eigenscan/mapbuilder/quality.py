@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.geometry.surfaces import Surfaces
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 IN_SIGHT_M = 20.0
 """Walls farther away, m, do not count as in sight."""
+STRIP_M = 1.0
+"""Width, m, that a tenth of a map's free ground has at least where robots drive."""
 PLACES, BEAMS = 500, 72
 """Most positions, and the directions from each."""
 
@@ -28,6 +31,8 @@ class Quality:
     thinned: bool
     walls_in_sight: float
     usual_range_m: float
+    strips: bool
+    """Whether most is occupied, and what is free is as narrow as walls: a map that is read inside out."""
 
     @property
     def expectation(self) -> str:
@@ -51,4 +56,13 @@ def quality(grid: GridMap, points: NDArray[np.float64], within: float) -> Qualit
         thinned=surfaces.thinned,
         walls_in_sight=float(np.isfinite(ranges).mean()) if ranges.size else 0.0,
         usual_range_m=float(np.median(seen)) if len(seen) else float("nan"),
+        strips=_is_of_strips(grid),
     )
+
+
+def _is_of_strips(grid: GridMap) -> bool:
+    free = grid.cells == FREE
+    if not free.any() or np.count_nonzero(grid.cells == OCCUPIED) < np.count_nonzero(free):
+        return False
+    from_walls = distance_transform_edt(free)[free] * grid.resolution
+    return bool(np.quantile(from_walls, 0.9) < STRIP_M / 2)

@@ -100,7 +100,7 @@ def _answers(seen: Observed) -> Iterator[Check]:
             twice.append(f"{published[due]} {where}")
     if missing:
         twice.insert(0, f"{len(missing)} of {len(seen.wanted)} answers are missing, the first: {missing[0]}")
-    yield check("answers", clause, twice, f"one answer each to {len(seen.asked)} {profile.asks.name}")
+    yield check("answers", clause, twice, f"one answer to each of {len(seen.asked)} {_asked(seen)}")
     yield check("order", clause, list(_disorder(seen)), "stamps of each key as those of what is answered")
 
 
@@ -207,7 +207,7 @@ def _survives(seen: Observed) -> Iterator[Check]:
 
 
 def _asked(seen: Observed) -> str:
-    return seen.profile.asks.name if seen.profile.asks else ""
+    return f"{seen.profile.asks.name} messages" if seen.profile.asks else ""
 
 
 def _numbers(seen: Observed) -> Iterator[Check]:

@@ -68,6 +68,8 @@ def evaluate(task: Task, bars: Bars) -> Figures:
     windows = read_windows(task.windows, task.offset_s) if task.windows else None
     times = read_times(task.single_scans, task.offset_s) if task.single_scans else None
     log = read_log(task.log, task.options, bars.start_share("log"))
+    if "windows" not in task.skip:
+        _check_count(task, log)
     if reference is not None:
         reference = reference.restamped(log.logged)
         _check_overlap(task, log, reference)
@@ -121,6 +123,7 @@ def evaluate_claims(task: ClaimsTask, bars: Bars) -> Figures:
         raise EvaluationError(f"{task.log}: has no reference in it: give --ground-truth REF.tum")
     windows = read_windows(task.windows, task.offset_s) if task.windows else None
     log = read_log(task.log, task.options, bars.start_share("log"))
+    _check_count(task, log)
     reference, claims = reference.restamped(log.logged), restamped(claims, log.logged)
     _check_overlap(task, log, reference)
     asked = windows if windows is not None else plan_windows(log.scans, reference)
@@ -184,6 +187,12 @@ def _no_window(task: Task | ClaimsTask, log: Log, reference: Trajectory) -> Eval
         f"{task.windows or task.log}: no window holds 3 scans with a reference: check its stamps against "
         f"{task.reference or 'the reference'} ({_span(reference.stamps)}) and the log ({_span(log.scans)})"
     )
+
+
+def _check_count(task: Task | ClaimsTask, log: Log) -> None:
+    """Raises EvaluationError if no window can have scans enough."""
+    if (count := len(log.scans)) < 3:
+        raise EvaluationError(f"{task.log}: the log has {count} scan{'s' * (count > 1)}; 3 are needed")
 
 
 def _check_overlap(task: Task | ClaimsTask, log: Log, reference: Trajectory) -> None:

@@ -41,6 +41,7 @@ ANGLES = {"angle_deg": 1.0, "angle_cw_deg": -1.0}
 """Columns with a beam's angle, and their sign: SLAMTEC's lidars count clockwise."""
 RANGES = {"range_m": 1.0, "range_mm": 1e-3}
 """Columns with a beam's range (or, with _0, _1, ..., all ranges of a line), and their unit in m."""
+KNOWN = frozenset({TIME, LIDAR, *LINE_A_SCAN, *ODOMETRY, *LIMITS, INCREMENT, *ANGLES, *RANGES})
 LONGEST_HEADER = 1_000_000
 DEFAULT_LIDAR = "lidar"
 
@@ -60,7 +61,7 @@ def looks_like_csv(path: Path) -> bool:
             names = next(rows, [])
         except csv.Error:  # of a file that is no table
             return False
-        if TIME in map(str.strip, names):
+        if TIME in map(str.lower, map(str.strip, names)):
             if what:
                 raise LogError(f"{path}: line 1: columns are separated by {what}: separate them by commas")
             return True
@@ -83,6 +84,9 @@ class _Columns:
         places = {name.strip(): place for place, name in enumerate(names)}
         if len(places) < len(names):
             raise LogError(f"{path}: line 1: two columns have the same name: give each its own")
+        for name in places:
+            if name != name.lower() in KNOWN:
+                raise LogError(f"{path}: line 1: has the column {name}: rename it to {name.lower()}")
         _refuse_other_odometry(path, places)
         for name, unit in RANGES.items():
             beams = list[int]()
@@ -195,11 +199,11 @@ class CsvLog:
         self.progress = 1.0
 
     def _convert(self) -> Iterator[Envelope]:
-        taken, alone, seen = 0, 0, set[str]()
+        taken, alone, flat, seen = 0, 0, 0, set[str]()
         step: dict[str, float] = {}
         for time, lidar, group in self._groups():
             lines = group
-            if not abs(time) <= LATEST_S:
+            if not 0 <= time <= LATEST_S:
                 raise LogError(f"{self.path}: line {lines[0].number}, column {TIME}: {time:g} s is no time")
             stamp = round(time * 1e9)
             moved = next((line for line in lines if any(map(line.text, ODOMETRY))), None)
@@ -219,6 +223,7 @@ class CsvLog:
             if not lines[0].columns.angle:
                 for line in lines:
                     yield self._scan(line, stamp, lidar, *_row(line))
+                flat += line.value(LINE_A_SCAN[1]) == 0
             else:
                 angles, ranges = _beams(lines)
                 own = max(_step(angles), FINEST_DEG)
@@ -227,10 +232,16 @@ class CsvLog:
                 yield self._scan(lines[0], stamp, lidar, *_on_grid(angles, ranges, step[lidar]))
             taken += 1
             alone += len(lines) == 1 and bool(lines[0].columns.angle)
+        self._check(taken, alone, flat, seen)
+
+    def _check(self, taken: int, alone: int, flat: int, seen: set[str]) -> None:
+        """Raises LogError where none of the scans can be used: `alone` of one beam, `flat` of no step."""
         if alone == taken > MOST_ALONE:
             raise LogError(
                 f"{self.path}: each beam has a {TIME} of its own: give all of a turn that of its first"
             )
+        if flat and flat == taken:
+            raise LogError(f"{self.path}: column {LINE_A_SCAN[1]}: is 0 in all lines: give the beams' step")
         if not taken:
             there = f"there are {', '.join(sorted(seen))}" if seen else "the header alone"
             raise LogError(f"{self.path}: no scan to take: {there}")

@@ -56,6 +56,8 @@ class Scans:
     def span(self, first: int, last: int) -> str:
         """A stretch of scans, for people."""
         start, end = (self._stamp(number) for number in (first, last))
+        if first == last:
+            return f"the scan at {Decimal(start) / NS:.3f} s"
         return f"{last - first + 1} scans from {Decimal(start) / NS:.3f} to {Decimal(end) / NS:.3f} s"
 
     def trajectory(self, numbers: NDArray[np.int64], poses: NDArray[np.float64]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import queue
 import sys
@@ -136,8 +137,8 @@ def _command(line: str) -> Command:
 def controls(*, scripted: bool) -> Iterator[Controls]:
     """Standard input's words if `scripted`; else keys, on a terminal in the foreground."""
     if scripted:
-        yield Script(sys.stdin)
-    elif sys.stdin.isatty() and sys.stderr.isatty() and _is_in_front():
+        yield Script(sys.stdin or io.StringIO())
+    elif sys.stdin and sys.stderr and sys.stdin.isatty() and sys.stderr.isatty() and _is_in_front():
         from blessed import Terminal
 
         terminal = Terminal(stream=sys.stderr)

@@ -116,7 +116,7 @@ def _check(survey: Survey, services: tuple[Service, ...]) -> None:
         needed = not channel.qos.latched and channel not in DISPENSABLE
         if needed and not survey.counts[channel]:
             raise UsageError(
-                f"{survey.path}: holds no {channel.name}, an input of {first.name}: record it as well"
+                f"{survey.path}: holds no {channel.name}, an input of {first.name}: {survey.lacking}"
             )
 
 

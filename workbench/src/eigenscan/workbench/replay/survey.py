@@ -7,7 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from eigenscan.runtime.errors import UsageError
-from eigenscan.runtime.recording import Record, clock_set_back, is_complete, read, read_metadata
+from eigenscan.runtime.recording import (
+    Record,
+    clock_set_back,
+    contents,
+    is_complete,
+    parts,
+    read,
+    read_metadata,
+)
 from eigenscan.schemas.channels import HEALTH, HYPOTHESES, SCAN, TRACKS, Channel
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
@@ -77,6 +85,13 @@ class Survey:
         """Seconds from the first message to the last."""
         return (self.end - self.begin) * 1e-9
 
+    @property
+    def lacking(self) -> str:
+        """The fix where a channel is not in the file."""
+        if self.complete:
+            return "record it as well"
+        return f"the file breaks off after {self.seconds:.1f} s; else record it as well"
+
     def take(self, record: Record) -> None:
         """Notes the next message."""
         envelope = record.envelope
@@ -115,8 +130,19 @@ class Survey:
 _PUBLISHED = published_by(PARTS)
 
 
+def _refuse_copies(path: Path) -> None:
+    """Raises UsageError where two files of a folder are one: half of the messages would be missing."""
+    seen: dict[tuple[object, ...], Path] = {}
+    for part in parts(path) if path.is_dir() else ():
+        held = contents(part)
+        first = seen.setdefault((held.begin, held.end, *sorted(held.counts.items())), part)
+        if held.messages and first is not part:
+            raise UsageError(f"{path}: {first.name} and {part.name} hold the same messages: leave one out")
+
+
 def survey(path: Path) -> Survey:
     """Reads `path` once. Raises RecordingError, or UsageError if it holds nothing of the contract."""
+    _refuse_copies(path)
     complete = is_complete(path)
     metadata = read_metadata(path) if complete else {}
     settings = {name: entry["settings"] for name, entry in metadata.items() if "settings" in entry}

@@ -126,7 +126,7 @@ def _written(path: Path, settings: Mapping[str, str], events: Iterable[Event]) -
 
 def _of_the_file(survey: Survey) -> Iterator[str]:
     if not survey.complete:
-        yield "its writer did not close it: replayed as far as it goes"
+        yield f"its writer did not close it: replayed as far as it goes, {survey.seconds:.1f} s"
     if survey.set_back:
         yield (
             f"the recorder's clock was set back at {survey.set_back / 1e9:.3f}: read in order of time, "
@@ -158,7 +158,7 @@ def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
                 reported.counters.get(f"heard_{each.name}", 0) if reported else 0,
                 survey.counts[each],
             )
-            if not each.qos.latched and received > held:
+            if not each.qos.latched and received > held and survey.complete:
                 yield (
                     f"{name} had received {received} {each.name}, the recording holds {held}: "
                     "what the recorder missed cannot be replayed, and answers may differ for it"

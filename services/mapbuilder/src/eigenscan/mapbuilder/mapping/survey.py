@@ -27,6 +27,8 @@ Progress = Callable[[str, float], None]
 
 _CARVED_M, _CARVED_RAD = 0.05, np.deg2rad(2.0)
 """A scan is carved after this motion, m and rad, so a standing robot does not outvote a passing one."""
+_STANDING = 50
+"""Scans that are carved where the robot never moved: of one alone, most walls have too few rays."""
 
 
 class MappingError(ValueError):
@@ -247,15 +249,9 @@ def _carved(
     located: Located | None,
 ) -> GridMap:
     rays: list[tuple[Array, Array]] = []
-    carved: dict[bytes, Array] = {}  # last carved pose of each lidar
-    for number, pose in zip(numbers, poses, strict=True):
-        sweep = sweeps[number]
-        last = carved.get(sweep.mount.tobytes())
-        moved = None if last is None else between(last, pose)
-        if moved is not None and np.hypot(*moved[:2]) < _CARVED_M and abs(moved[2]) < _CARVED_RAD:
-            continue
-        carved[sweep.mount.tobytes()] = pose
-        sensor = compose(pose, sweep.mount)
+    for k in _to_carve(sweeps, numbers, poses):
+        sweep = sweeps[numbers[k]]
+        sensor = compose(poses[k], sweep.mount)
         rays.append((sensor[:2], transform(sensor, sweep.outline.points)))
     seen = np.vstack([np.vstack([view, ends]) for view, ends in rays])
     inside = seen if located is None else np.vstack([seen, corners(located.grid)])
@@ -264,3 +260,20 @@ def _carved(
         carving.add(view, ends)
         progress("carving the map", count / len(rays))
     return carving.to_map() if located is None else filled(carving.to_map(), located.grid)
+
+
+def _to_carve(sweeps: Sequence[Sweep], numbers: NDArray[np.int64], poses: Array) -> list[int]:
+    """Places, among the placed scans, of those that are carved."""
+    chosen: list[int] = []
+    carved: dict[bytes, Array] = {}  # last carved pose of each lidar
+    for k, (number, pose) in enumerate(zip(numbers, poses, strict=True)):
+        lidar = sweeps[number].mount.tobytes()
+        moved = between(carved[lidar], pose) if lidar in carved else None
+        if moved is not None and np.hypot(*moved[:2]) < _CARVED_M and abs(moved[2]) < _CARVED_RAD:
+            continue
+        carved[lidar] = pose
+        chosen.append(k)
+    if len(chosen) == len(carved):  # each lidar's first
+        few = min(len(numbers), _STANDING * len(carved))
+        chosen = np.unique(np.linspace(0, len(numbers) - 1, few).astype(np.int64)).tolist()
+    return chosen
