@@ -132,6 +132,57 @@ def test_a_moving_robot_is_predicted_by_its_velocity(places: np.ndarray) -> None
     assert np.hypot(off[0], off[1]) < 0.05
 
 
+def whole(*bases: np.ndarray, **change: Any) -> SearchRequest:
+    """For the whole map, and at these base poses."""
+    listed = [to_message(each) for each in bases]
+    return SearchRequest(timestamp=stamp(START), frame_id="map", search=SEARCH_WHOLE, places=listed, **change)
+
+
+def likelihood_there(listed: Hypotheses, truth: np.ndarray) -> float:
+    """Of the likeliest hypothesis at a base pose; -inf without one."""
+    own = [
+        each.log_likelihood for each in listed.hypotheses if is_right(from_message(each.pose), truth).all()
+    ]
+    return max(own, default=-math.inf)
+
+
+@pytest.fixture
+def blind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that looks at hardly any place."""
+    monkeypatch.setattr("eigenscan.projector.projection.POLISHED", 1)
+
+
+@pytest.mark.usefixtures("blind")
+def test_a_whole_search_also_looks_where_it_is_asked_to(places: np.ndarray) -> None:
+    def few() -> ProjectorCore:
+        return ready(published=4, refined=2, candidates=2)
+
+    off = np.array([0.1, -0.1, 0.05])
+    missed = [each for each in places if likelihood_there(after(each, core=few()), each) == -math.inf]
+    assert missed
+    for truth in missed:
+        found = after(truth, whole(places[0], truth + off), core=few())
+        assert found.search == SEARCH_WHOLE
+        assert likelihood_there(found, truth) > 10.0
+        assert list(faults(found)) == []
+
+
+def test_places_move_with_the_robot(places: np.ndarray) -> None:
+    velocity = np.array([4.0, 0.0, 2.0])
+    core, truth = ready(published=1, refined=2, candidates=2), places[2]
+    started = compose(truth, inverse(velocity * STEP * 1e-9))
+    found = after(truth, whole(started, velocity=to_message(velocity)), core=core)
+    assert likelihood_there(found, truth) > 10.0
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e300, -1e9])
+def test_places_that_are_none_are_left_out(places: np.ndarray, bad: float) -> None:
+    asked = whole(places[0] + [bad, 0.0, 0.0], *([places[0]] * 500))
+    found, alone = after(places[0], asked), after(places[0])
+    assert list(faults(found)) == []
+    assert likelihood_there(found, places[0]) == pytest.approx(likelihood_there(alone, places[0]), abs=0.1)
+
+
 def test_a_robot_that_is_elsewhere_is_searched_for_in_the_whole_map(places: np.ndarray) -> None:
     core, whole = ready(), ready()
     receive(core, scan(places[0], START))

@@ -22,6 +22,7 @@ from eigenscan.schemas.tracking_pb2 import (
 )
 from eigenscan.tracker.continuity import NEAR_RAD
 from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.search import PLACES
 
 from tests.services.tracker.conftest import MakeCore, Speaker
 
@@ -154,6 +155,23 @@ def test_the_request_predicts_the_next_pose(make_core: MakeCore, speaker: Speake
         assert one.covariance.xx > 0.0
         assert one.frame_id == "map"
         assert one.least_log_likelihood == pytest.approx(20.0)  # 5 nats below the last whole list's
+
+
+def test_requests_name_the_places_of_tracks_the_heaviest_first(make_core: MakeCore, speaker: Speaker) -> None:
+    core, way, asked = make_core(), compose(START, np.array([6.0, 0.0, 0.0])), list[SearchRequest]()
+    for k in range(6):
+        moved = straight(PERIOD * k)
+        places = [compose(start, moved) for start in (START, way)]
+        core.handle(speaker.odometry(100.0 + PERIOD * k, moved))
+        asked += requests(core.handle(speaker.hypotheses(100.0 + PERIOD * k, places, [19.0, 18.0])))
+    last = asked[-1]
+    assert last.search == SEARCH_WHOLE
+    for place, truth in zip(last.places, places, strict=False):
+        next_ = compose(from_message(place), from_message(last.velocity) * PERIOD)
+        assert next_ == pytest.approx(compose(truth, np.array([0.8 * PERIOD, 0.0, 0.0])), abs=0.03)
+    assert 2 <= len(last.places) <= PLACES
+    # before the robot's velocity is known, no track is where the next scan is
+    assert not asked[0].places
 
 
 def test_stamps_that_come_in_bursts_give_the_velocity_all_the_same(

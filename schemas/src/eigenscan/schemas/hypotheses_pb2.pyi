@@ -61,7 +61,7 @@ class Projection(_message.Message):
     def __init__(self, region: _Optional[str] = ..., coefficients: _Optional[_Iterable[float]] = ..., error_energy: _Optional[float] = ..., searched: _Optional[bool] = ...) -> None: ...
 
 class SearchRequest(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "search", "pose", "covariance", "velocity", "least_log_likelihood")
+    __slots__ = ("timestamp", "frame_id", "search", "pose", "covariance", "velocity", "least_log_likelihood", "places")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     SEARCH_FIELD_NUMBER: _ClassVar[int]
@@ -69,6 +69,7 @@ class SearchRequest(_message.Message):
     COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     VELOCITY_FIELD_NUMBER: _ClassVar[int]
     LEAST_LOG_LIKELIHOOD_FIELD_NUMBER: _ClassVar[int]
+    PLACES_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     search: Search
@@ -76,7 +77,8 @@ class SearchRequest(_message.Message):
     covariance: _geometry_pb2.Covariance3
     velocity: _geometry_pb2.Pose2
     least_log_likelihood: float
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., search: _Optional[_Union[Search, str]] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., velocity: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., least_log_likelihood: _Optional[float] = ...) -> None: ...
+    places: _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Pose2]
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., search: _Optional[_Union[Search, str]] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., velocity: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., least_log_likelihood: _Optional[float] = ..., places: _Optional[_Iterable[_Union[_geometry_pb2.Pose2, _Mapping]]] = ...) -> None: ...
 
 class RangeError(_message.Message):
     __slots__ = ("factor", "offset", "gain", "apart", "mirrored")

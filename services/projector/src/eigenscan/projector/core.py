@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 
@@ -19,7 +20,7 @@ from eigenscan.projector.candidates import Fitted
 from eigenscan.projector.channels import LOCALIZE_ANSWERED, LOCALIZE_ASKED, LOCALIZE_REFUSED
 from eigenscan.projector.distinction import Lidar
 from eigenscan.projector.focus import WHOLE, Focus, Scope
-from eigenscan.projector.local import LocalSearch
+from eigenscan.projector.local import Asked, LocalSearch
 from eigenscan.projector.model_set_assembler import ModelSetAssembler, WholeSet
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.one_shot import QueryError, answer
@@ -271,12 +272,15 @@ class ProjectorCore:
         is_new = not site.has_view(seen.sensor)
         view = self._view = site.view(seen.sensor)
         lidar, at = _lidar_of(address), nanoseconds(scan.timestamp)
-        fitted = self._fitted(lidar, scan, seen, site) if self._fits_locally else None
+        asked = self._local.asked(lidar, at, site.frame_id, scan.mount) if self._fits_locally else Asked()
+        fitted = self._fitted(seen, site, asked)
         if fitted is not None and not is_new:
             yield Envelope(HYPOTHESES, address, local_message(scan, site, seen, mount, fitted))
             yield Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, fitted.pose))
             return
         scope = self._scope(address, scan, site)
+        if scope.regions is None:
+            scope = replace(scope, places=asked.places)
         candidates = self._search(site, view, seen, self._settings, scope=scope)
         if scope.regions is None:
             self._focus.searched_whole(*lidar, at, candidates.ordinary)
@@ -298,9 +302,9 @@ class ProjectorCore:
         if is_new:
             self._begin(view)
 
-    def _fitted(self, lidar: tuple[str, str], scan: Scan, seen: Observation, site: Site) -> Fitted | None:
+    def _fitted(self, seen: Observation, site: Site, asked: Asked) -> Fitted | None:
         """The scan's pose around the one that the tracker predicts; None: search the whole map."""
-        around = self._local.around(lidar, nanoseconds(scan.timestamp), site.frame_id, scan.mount)
+        around = asked.around
         if around is None:
             return None
         fitted = fit_around(site, seen, around.starts, around.ordinary)

@@ -6,6 +6,7 @@ Such a list omits other places. Where the scan does not fit there, the whole map
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import cos, hypot, isfinite, nan, radians, remainder, sin, tau
 
@@ -27,6 +28,8 @@ WHOLE_NS = 2_000_000_000
 """Age of the last search of the whole map, from which its ordinary place is no measure any more."""
 FARTHEST = 1e7
 """m from the map's origin: beyond it a number is an overflow, not a place."""
+PLACES = 16
+"""At most of a request's: a request is no way to keep a projector busy."""
 KEPT = 16
 """Requests kept of each lidar: more than come between two scans."""
 BESIDE_M, BESIDE_RAD = 0.15, 0.1
@@ -59,6 +62,17 @@ class Around:
         return near and found.log_likelihood >= self.least
 
 
+@dataclass(frozen=True)
+class Asked:
+    """What a tracker asks for: a local fit, None if the whole map must be searched; then also at `places`.
+
+    `places` (n, 3): sensor poses in the map frame.
+    """
+
+    around: Around | None = None
+    places: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+
 @dataclass
 class _Lidar:
     """Its requests, the stamp of its last scan, and the last search of the whole map."""
@@ -88,33 +102,41 @@ class LocalSearch:
         known = self._lidars.use(lidar, _Lidar)
         known.whole, known.ordinary = stamp, ordinary
 
-    def around(self, lidar: tuple[str, str], stamp: int, frame_id: str, mount: Pose2) -> Around | None:
-        """Where to fit the scan of `stamp`, ns, of a lidar at `mount` in the base frame.
-
-        None if the whole map must be searched for it.
-        """
+    def asked(self, lidar: tuple[str, str], stamp: int, frame_id: str, mount: Pose2) -> Asked:
+        """Where to look for the scan of `stamp`, ns, of a lidar at `mount` in the base frame."""
         known = self._lidars.use(lidar, _Lidar)
         before, known.scan = known.scan, stamp
-        if before is None or known.whole is None:
-            return None
-        if not (0 < stamp - before <= LONGEST_NS and 0 < stamp - known.whole <= WHOLE_NS):
-            return None
+        if before is None or not 0 < stamp - before <= LONGEST_NS:
+            return Asked()
         newest = next((r for r in reversed(known.requests) if nanoseconds(r.timestamp) == before), None)
-        if newest is None or newest.search != SEARCH_LOCAL or newest.frame_id != frame_id:
-            return None
-        return _around(newest, (stamp - before) * 1e-9, mount, known.ordinary)
+        if newest is None or newest.frame_id != frame_id:
+            return Asked()
+        seconds = (stamp - before) * 1e-9
+        recent = known.whole is not None and 0 < stamp - known.whole <= WHOLE_NS
+        local = newest.search == SEARCH_LOCAL and recent
+        around = _around(newest, seconds, mount, known.ordinary) if local else None
+        return Asked(around, _predicted(newest.places[:PLACES], newest.velocity, seconds, mount))
 
 
 def _around(request: SearchRequest, seconds: float, mount: Pose2, ordinary: float) -> Around | None:
     """The predicted place, `seconds` after the request; None where it is none, or vaguer than one place."""
-    v, c = request.velocity, request.covariance
-    x, y, theta = _after(request.pose, (v.x * seconds, v.y * seconds, v.theta * seconds))
-    x, y, theta = _after(Pose2(x=x, y=y, theta=theta), (mount.x, mount.y, mount.theta))
-    is_place = abs(x) < FARTHEST and abs(y) < FARTHEST and isfinite(theta)
+    c, place = request.covariance, _predicted([request.pose], request.velocity, seconds, mount)
     is_sure = 0.0 < c.xx + c.yy <= REACH_M**2 and 0.0 < c.tt <= REACH_RAD**2
-    if not (is_place and is_sure and isfinite(request.least_log_likelihood)):
+    if not (len(place) and is_sure and isfinite(request.least_log_likelihood)):
         return None
-    return Around(np.array([x, y, theta]), ordinary, request.least_log_likelihood)
+    return Around(place[0], ordinary, request.least_log_likelihood)
+
+
+def _predicted(poses: Iterable[Pose2], velocity: Pose2, seconds: float, mount: Pose2) -> Array:
+    """Sensor poses (n, 3) from base poses, `seconds` later; without those that are no places."""
+    step = velocity.x * seconds, velocity.y * seconds, velocity.theta * seconds
+    places = list[tuple[float, float, float]]()
+    for pose in poses:
+        x, y, theta = _after(pose, step)
+        x, y, theta = _after(Pose2(x=x, y=y, theta=theta), (mount.x, mount.y, mount.theta))
+        if abs(x) < FARTHEST and abs(y) < FARTHEST and isfinite(theta):
+            places.append((x, y, theta))
+    return np.array(places).reshape(-1, 3)
 
 
 def _after(pose: Pose2, step: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -324,6 +324,12 @@ def _weigh_promising(
     order = np.argsort(among.doubts)
     best = best_of_neighbourhoods(among.poses, order, SAME_M, SAME_RAD, max(POLISHED, settings.published))
     slid, region = among.poses[best], among.region[best]
+    if len(scope.places):
+        asked = slide_around(site, seen, scope.places).poses
+        slid = np.concatenate([slid, asked])
+        region = np.append(region, site.lattice.region_of[site.lattice.nearest(asked[:, :2])])
+        new = best_of_neighbourhoods(slid, np.arange(len(slid)), SAME_M, SAME_RAD, len(slid))
+        slid, region = slid[new], region[new]
     trace("kept to polish", slid)
     reading, polished, supported, explained = _weighed(site, seen, slid)
     order = np.argsort(-supported)

@@ -40,7 +40,7 @@ from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation, Tracks
 from eigenscan.tracker.agreement import ScanInterval
 from eigenscan.tracker.floors import Building
 from eigenscan.tracker.observation import SIGMA_LIMITS, observe
-from eigenscan.tracker.planar import Pose
+from eigenscan.tracker.planar import IDENTITY, Pose
 from eigenscan.tracker.relocation import hint_of
 from eigenscan.tracker.robot import Estimate, RobotTracker
 from eigenscan.tracker.search import Request
@@ -269,11 +269,14 @@ def _pose_message(estimate: Estimate, body: str, risk: float) -> PoseEstimate:
 
 def _search_message(request: Request, settings: TrackerSettings) -> SearchRequest:
     message = SearchRequest(timestamp=stamp(request.stamp), frame_id=request.frame, search=SEARCH_WHOLE)
+    for x, y, theta in request.places.tolist():
+        message.places.add(x=x, y=y, theta=theta)
+    if request.velocity != IDENTITY:
+        message.velocity.CopyFrom(to_message(request.velocity))
     if request.local and request.covariance is not None:
         message.search = SEARCH_LOCAL
         message.pose.CopyFrom(to_message(request.pose))
         message.covariance.CopyFrom(covariance_to_message(request.covariance))
-        message.velocity.CopyFrom(to_message(request.velocity))
         message.least_log_likelihood = request.least / settings.trust
     return message
 

@@ -498,6 +498,7 @@ class RobotTracker:
             self._progress(step),
             far._replace(way=far.way + step.way, turn=far.turn + step.turn),
             self.belief.tracks,
+            self.belief.frames.index(seen.frame) if seen.frame in self.belief.frames else 0,
             verdict.track,
             sure=sure,
         )
