@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 
@@ -24,7 +23,7 @@ from eigenscan.projector.local import Asked, LocalSearch
 from eigenscan.projector.model_set_assembler import ModelSetAssembler, WholeSet
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.one_shot import QueryError, answer
-from eigenscan.projector.projection import Search, find_candidates, fit_around
+from eigenscan.projector.projection import Search, find_candidates, fit_around, look_also
 from eigenscan.projector.publishing import hypotheses_message, local_message, obstacles_message, unusable
 from eigenscan.projector.range_check import check, is_mirrored_too
 from eigenscan.projector.set_aside import Sizes, size_of_space
@@ -279,9 +278,9 @@ class ProjectorCore:
             yield Envelope(OBSTACLES, address, obstacles_message(scan, site, seen, mount, fitted.pose))
             return
         scope = self._scope(address, scan, site)
-        if scope.regions is None:
-            scope = replace(scope, places=asked.places)
         candidates = self._search(site, view, seen, self._settings, scope=scope)
+        if len(asked.places) and scope.regions is None and candidates.waiting is None:
+            candidates = look_also(site, seen, candidates, asked.places, self._settings.published)
         if scope.regions is None:
             self._focus.searched_whole(*lidar, at, candidates.ordinary)
             self._local.searched_whole(lidar, at, candidates.ordinary)

@@ -25,14 +25,10 @@ _REMEMBERED = 128
 
 @dataclass(frozen=True)
 class Scope:
-    """The regions (R,) that are searched, None for all; and the least support that an ordinary place has.
-
-    `places` (n, 3): sensor poses where the scan is looked for as well, where all regions are searched.
-    """
+    """The regions (R,) that are searched, None for all; and the least support that an ordinary place has."""
 
     regions: NDArray[np.bool_] | None = None
     ordinary: float = -np.inf
-    places: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def among(self, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which of the regions that the flags (R,) name are searched."""

@@ -142,6 +142,35 @@ def fit_around(site: Site, seen: Observation, starts: Array, ordinary: float) ->
     return Fitted(polished.poses[best], covariance[0], float(likelihood[0]), float(explained[best]))
 
 
+def look_also(site: Site, seen: Observation, found: Candidates, places: Array, count: int) -> Candidates:
+    """The `count` likeliest of what a search found, and of the poses to which the scan moves from `places`.
+
+    `places` (n, 3): sensor poses. Half of the right poses that a search leaves out, it misses: the scan fits
+    there (benchmarks/evidence.py).
+    """
+    reading = next(one for one in site.readings if one.surfaces == found.surfaces)
+    polished, supported, explained = _weighed_on(site, reading, seen, slide_around(site, seen, places).poses)
+    covariances = pose_covariances(polished.information, site.inexactness)
+    likelihoods = log_likelihood(supported, found.ordinary, seen.returned)
+    likelihoods -= _spread(site, polished.information, covariances)
+    # what is no likelier than an unlisted pose comes last, and is left out
+    likelihoods = np.where(likelihoods > found.unlisted_log_likelihood, likelihoods, -np.inf)
+    poses = np.concatenate([found.poses, polished.poses])
+    likelihoods = np.append(found.log_likelihoods, likelihoods)
+    kept = best_of_neighbourhoods(poses, np.argsort(-likelihoods, kind="stable"), SAME_M, SAME_RAD, count)
+    kept = kept[np.isfinite(likelihoods[kept])]
+    region = site.lattice.region_of[site.lattice.nearest(polished.poses[:, :2])]
+    return replace(
+        found,
+        poses=poses[kept],
+        covariances=np.concatenate([found.covariances, covariances])[kept],
+        log_likelihoods=likelihoods[kept],
+        explained=np.append(found.explained, explained)[kept],
+        region=np.append(found.region, region)[kept],
+        cut=len(kept) == count,
+    )
+
+
 def slide_around(site: Site, seen: Observation, starts: Array) -> Fit:
     """Where the scan slides from sensor poses `starts` (n, 3), by some of its beams."""
     return fit(site.coarse_walls, starts, _sliding(seen), SLIDE)
@@ -303,12 +332,13 @@ def _weighed(site: Site, seen: Observation, slid: Array) -> tuple[Reading, Fit, 
     Whether walls are as thick as they are drawn is the same for all beams: the place where the whole scan
     fits best shows. Not by its likelihood: what an ordinary place supports differs between the two.
     """
+    found = [(reading, *_weighed_on(site, reading, seen, slid)) for reading in site.readings]
+    return max(found, key=lambda each: float(each[2].max(initial=0.0)))
 
-    def on(reading: Reading) -> tuple[Reading, Fit, Array, Array]:
-        walls, caster, exactness = reading.walls, reading.caster, reading.exactness
-        return reading, *weigh(walls, caster, site.drawn, slid, seen.points, seen.weighed, exactness)
 
-    return max(map(on, site.readings), key=lambda each: float(each[2].max(initial=0.0)))
+def _weighed_on(site: Site, reading: Reading, seen: Observation, slid: Array) -> tuple[Fit, Array, Array]:
+    walls, caster, exactness = reading.walls, reading.caster, reading.exactness
+    return weigh(walls, caster, site.drawn, slid, seen.points, seen.weighed, exactness)
 
 
 def _weigh_promising(
@@ -324,12 +354,6 @@ def _weigh_promising(
     order = np.argsort(among.doubts)
     best = best_of_neighbourhoods(among.poses, order, SAME_M, SAME_RAD, max(POLISHED, settings.published))
     slid, region = among.poses[best], among.region[best]
-    if len(scope.places):
-        asked = slide_around(site, seen, scope.places).poses
-        slid = np.concatenate([slid, asked])
-        region = np.append(region, site.lattice.region_of[site.lattice.nearest(asked[:, :2])])
-        new = best_of_neighbourhoods(slid, np.arange(len(slid)), SAME_M, SAME_RAD, len(slid))
-        slid, region = slid[new], region[new]
     trace("kept to polish", slid)
     reading, polished, supported, explained = _weighed(site, seen, slid)
     order = np.argsort(-supported)
