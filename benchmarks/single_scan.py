@@ -6,8 +6,8 @@
 
 `--foreign` adds the scans of the other buildings to each map, none of which may look like home. `--stages`
 shows in what share of the scans each stage of the search still had the right pose, and how many wrong ones
-beside it, one a neighbourhood. The datasets are not part of the project; by default they are looked for
-beside it. CPU is process time: set OMP_NUM_THREADS=1.
+beside it, one a neighbourhood; last, where a tracker asks for a place beside the right one. The datasets are
+not part of the project; by default they are looked for beside it. CPU is process time: set OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from eigenscan.projector.connectivity import best_of_neighbourhoods
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.model_set_assembler import WholeSet
 from eigenscan.projector.observation import observe
-from eigenscan.projector.projection import find_candidates
+from eigenscan.projector.projection import find_candidates, look_also
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Site
 from eigenscan.schemas.channels import MAP, MODEL, MODEL_SET, SCAN
@@ -50,6 +50,9 @@ class Case:
     lidar: str
     own: bool = False
 
+
+OFF = np.array([0.1, -0.1, 0.05])
+"""m, m, rad, by which a track is off."""
 
 CASES = (
     Case("intel", "intel", "log.clf.gz", "", own=True),
@@ -227,7 +230,9 @@ def recall_by_stage(
             apart = poses[best_of_neighbourhoods(poses, order, WITHIN_M, WITHIN_RAD, len(poses) or 1)]
             found.setdefault(f"{stage}: wrong", []).append(float(np.sum(~is_right(apart, truth))))
 
-        find_candidates(site, site.view(seen.sensor), seen, settings, trace)
+        listed = find_candidates(site, site.view(seen.sensor), seen, settings, trace)
+        beside = (truth + OFF)[None]
+        trace("asked for", look_also(site, seen, listed, beside, settings.published).poses)
     return {stage: np.mean(hits) for stage, hits in found.items()}
 
 

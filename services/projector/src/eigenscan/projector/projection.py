@@ -146,7 +146,7 @@ def look_also(site: Site, seen: Observation, found: Candidates, places: Array, c
     """The `count` likeliest of what a search found, and of the poses to which the scan moves from `places`.
 
     `places` (n, 3): sensor poses. Half of the right poses that a search leaves out, it misses: the scan fits
-    there (benchmarks/evidence.py).
+    there (benchmarks/single_scan.py --stages).
     """
     reading = next(one for one in site.readings if one.surfaces == found.surfaces)
     polished, supported, explained = _weighed_on(site, reading, seen, slide_around(site, seen, places).poses)

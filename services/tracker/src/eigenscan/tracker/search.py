@@ -43,8 +43,7 @@ KEPT = 16
 PLACES = 16
 """Tracks at most at whose poses a search of the whole map also looks.
 
-Half of the lists without the right place have it if they look there. Between racks of 0.6 m 13 of 17 windows
-succeed with it, 10 without (benchmarks/evaluate.py --simulated).
+Half of the lists without the right place have it if they look there (benchmarks/single_scan.py --stages).
 """
 NOWHERE = np.zeros((0, 3))
 FITS = 13.0
