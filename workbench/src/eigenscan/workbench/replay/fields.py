@@ -18,6 +18,7 @@ TOLERANCES: dict[str, Tolerance] = {
     "y": (1e-5, 0.0),
     "theta": (1e-5, 0.0),
     "mount": (1e-7, 0.0),
+    "inexactness": (1e-6, 0.0),
     "ranges": (1e-5, 0.0),
     "angle_min": (1e-7, 0.0),
     "angle_increment": (1e-7, 0.0),
