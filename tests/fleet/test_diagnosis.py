@@ -20,7 +20,7 @@ def site(**details: str) -> FleetView:
     """A robot r17 whose services wait, each with its detail."""
     view = FleetView.__new__(FleetView)
     view.site, view.robots, view.services, view.model_versions = "s", {}, {}, deque(maxlen=2)
-    view.expected = frozenset({"r17"})
+    view.listed, view.expected = frozenset(), frozenset({"r17"})
     for service, detail in details.items():
         name = service.replace("_", "-")
         health = Health(service=name, instance="r17", status=Health.STATUS_WAITING, detail=detail)

@@ -61,7 +61,7 @@ def test_poses_of_one_robot_are_given_alone() -> None:
 def test_what_is_no_pose_is_not_shown(fields: dict[str, float]) -> None:
     view: Any = FleetView.__new__(FleetView)
     view.site, view.robots, view.services, view.model_versions = "s", {}, {}, deque(maxlen=2)
-    view.expected = frozenset()
+    view.listed = view.expected = frozenset()
     assert len(_received(view, x=1.0)) == 1
     assert _received(view, **fields) == []
     assert view.robots["r1"].pose.pose.x == 1.0

@@ -244,7 +244,7 @@ def _view(_folder: Path) -> Callable[[Iterator[Envelope]], None]:
         from rich.console import Console
 
         view: Any = FleetView.__new__(FleetView)
-        view.expected = frozenset()
+        view.listed = view.expected = frozenset()
         view.site, view.robots, view.services, view.model_versions = "s", {}, {}, deque(maxlen=2)
         for number, received in enumerate(row):
             arrival = Arrival(

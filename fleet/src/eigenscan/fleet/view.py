@@ -201,8 +201,6 @@ class FleetView:
     `listed`: all robots of its fleet, if known. `expected`: further ones that belong to it. Both may be away.
     """
 
-    listed: frozenset[str] = frozenset()
-
     def __init__(
         self, session: zenoh.Session, site: str, listed: Collection[str] = (), expected: Collection[str] = ()
     ) -> None:

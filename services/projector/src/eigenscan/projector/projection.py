@@ -141,10 +141,8 @@ def fit_around(site: Site, seen: Observation, starts: Array, ordinary: float) ->
     kept = best_of_neighbourhoods(slid.poses, np.argsort(slid.cost), ONE_M, ONE_RAD, len(starts))
     _, polished, supported, explained = _weighed(site, seen, slid.poses[kept])
     best = int(supported.argmax())
-    information = polished.information[best : best + 1]
-    covariance = pose_covariances(information, site.inexactness)
-    likelihood = log_likelihood(supported[best : best + 1], ordinary, seen.returned)
-    likelihood -= _spread(site, information, covariance)
+    own = slice(best, best + 1)
+    covariance, likelihood = _judged(site, seen, polished.information[own], supported[own], ordinary)
     return Fitted(polished.poses[best], covariance[0], float(likelihood[0]), float(explained[best]))
 
 
@@ -159,9 +157,7 @@ def look_also(site: Site, seen: Observation, found: Candidates, places: Array, c
         return found
     reading = next(one for one in site.readings if one.surfaces == found.surfaces)
     polished, supported, explained = _weighed_on(site, reading, seen, slide_around(site, seen, places).poses)
-    covariances = pose_covariances(polished.information, site.inexactness)
-    likelihoods = log_likelihood(supported, found.ordinary, seen.returned)
-    likelihoods -= _spread(site, polished.information, covariances)
+    covariances, likelihoods = _judged(site, seen, polished.information, supported, found.ordinary)
     # what is no likelier than an unlisted pose comes last, and is left out
     likelihoods = np.where(likelihoods > found.unlisted_log_likelihood, likelihoods, -np.inf)
     poses = np.concatenate([found.poses, polished.poses])
@@ -379,9 +375,7 @@ def _weigh_promising(
     ordinary = max(ordinary_support(supported[kept], site.parts), scope.ordinary)
     trace("polished", polished.poses)
     poses, supports = polished.poses[kept], supported[kept]
-    covariances = pose_covariances(polished.information[kept], site.inexactness)
-    likelihood = log_likelihood(supports, ordinary, seen.returned)
-    likelihood -= _spread(site, polished.information[kept], covariances)
+    covariances, likelihood = _judged(site, seen, polished.information[kept], supports, ordinary)
     return Candidates(
         poses,
         covariances,
@@ -395,6 +389,15 @@ def _weigh_promising(
         surfaces=reading.surfaces,
         cut=len(kept) == settings.published,
     )
+
+
+def _judged(
+    site: Site, seen: Observation, information: Array, supports: Array, ordinary: float
+) -> tuple[Array, Array]:
+    """Covariances (n, 3, 3) and log-likelihoods (n,) of polished poses."""
+    covariances = pose_covariances(information, site.inexactness)
+    likelihoods = log_likelihood(supports, ordinary, seen.returned)
+    return covariances, likelihoods - _spread(site, information, covariances)
 
 
 def _spread(site: Site, information: Array, covariances: Array) -> Array | float:

@@ -7,7 +7,7 @@ a sure robot needs no more than to know where it is by now: a fit around its pos
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from eigenscan.tracker.continuity import are_neighbours
@@ -145,16 +145,8 @@ class Searches:
         if not np.isfinite(tracks.nis[best]):  # the list does not have the pose
             return whole
         x, y, theta = tracks.x[best].tolist()
-        return Request(
-            seen.lidar,
-            seen.stamp,
-            seen.frame,
-            places,
-            True,
-            (x, y, theta),
-            tracks.C[best],
-            velocity,
-            known.there - FALL,
+        return replace(
+            whole, local=True, pose=(x, y, theta), covariance=tracks.C[best], least=known.there - FALL
         )
 
 
