@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -540,3 +541,28 @@ def test_a_compressed_bag_is_inflated_a_part_at_a_time_and_leaves_nothing(
         most = max(most, copies())
         assert list(place.iterdir()) == []  # else a killed process would leave its copies
     assert (most, copies()) == (1, 0)
+
+
+def test_a_compressed_bag_of_one_file_is_inflated_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, make = list[Any](), tempfile.TemporaryFile
+
+    def counted() -> Any:
+        made.append(make())
+        return made[-1]
+
+    monkeypatch.setattr("tempfile.TemporaryFile", counted)
+    folder = usual(ros1=False).write(tmp_path / "a", StoragePlugin.MCAP, "file")
+    log = open_log(folder)
+    assert len(made) == 0  # evaluation opens a log to learn its format alone
+    whole = [envelope.stamp for envelope in log.envelopes()]
+    assert [envelope.stamp for envelope in log.envelopes()] == whole
+    assert len(made) == 1
+
+
+def test_a_compressed_bag_may_be_read_twice_at_a_time(tmp_path: Path) -> None:
+    log = open_log(usual(ros1=False).write(tmp_path / "a", StoragePlugin.MCAP, "file"))
+    alone = [envelope.stamp for envelope in log.envelopes()]
+    pairs = zip(log.envelopes(), log.envelopes(), strict=True)
+    assert [(a.stamp, b.stamp) for a, b in pairs] == list(zip(alone, alone, strict=True))

@@ -7,7 +7,7 @@ import struct
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -38,11 +38,12 @@ DAMAGE = (
 class McapFile:
     """An MCAP file; iterating it never raises over damage, it counts it."""
 
-    def __init__(self, path: Path, counters: Counter[str]) -> None:
+    def __init__(self, path: Path, counters: Counter[str], copies: Copies | None = None) -> None:
         self.path, self.counters = path, counters
+        self._copies = copies or Copies()
         self.progress = 0.0
         self.profile, self._indexed, self._total = "", False, 0
-        with _opened(path) as file:
+        with self._copies.opened(path) as file:
             self._size = max(file.seek(0, os.SEEK_END), 1)
             file.seek(0)
             try:
@@ -83,7 +84,7 @@ class McapFile:
 
     def messages(self, topics: list[str] | None) -> Iterator[Item]:
         """Messages of `topics` (None: all)."""
-        with _opened(self.path) as file:
+        with self._copies.opened(self.path) as file:
             try:
                 if self._indexed:
                     for number, item in enumerate(make_reader(file).iter_messages(topics=topics)):
@@ -109,26 +110,52 @@ class McapFile:
                     yield schemas.get(channel.schema_id), channel, record
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[IO[bytes]]:
-    """The file, or a copy of what it holds if it was recorded with --compression-mode file.
+class Copies:
+    """Inflates files that were recorded with --compression-mode file, and keeps the last copy.
 
-    The copy has no name, so it is gone even where the process is killed. Raises LogError.
+    It has no name, so it is gone even where the process is killed.
     """
-    if path.suffix != ".zstd":
-        with path.open("rb") as file:
-            yield file
-        return
-    with tempfile.TemporaryFile() as whole:
+
+    def __init__(self) -> None:
+        self._kept: tuple[Path, IO[bytes]] | None = None
+
+    def __del__(self) -> None:
+        self._keep(None)
+
+    def _keep(self, copy: tuple[Path, IO[bytes]] | None) -> None:
+        if self._kept:
+            self._kept[1].close()
+        self._kept = copy
+
+    @contextmanager
+    def opened(self, path: Path) -> Iterator[IO[bytes]]:
+        """The file, or what it holds inflated, from its start. Raises LogError."""
+        if path.suffix != ".zstd":
+            with path.open("rb") as file:
+                yield file
+            return
+        if self._kept and self._kept[0] != path:
+            self._keep(None)  # makes room first
+        copy, self._kept = self._kept or (path, _inflated(path)), None  # who reads it too inflates it again
+        copy[1].seek(0)
         try:
+            yield copy[1]
+        finally:
+            self._keep(copy)
+
+
+def _inflated(path: Path) -> IO[bytes]:
+    with ExitStack() as closing:
+        try:
+            whole = closing.enter_context(tempfile.TemporaryFile())
             _inflate(path, whole)
         except OSError as error:
             raise LogError(
                 f"{path}: cannot be decompressed to {tempfile.gettempdir()}: {error.strerror}: "
                 "make room there, or use zstd -d"
             ) from error
-        whole.seek(0)
-        yield whole
+        closing.pop_all()
+        return whole
 
 
 def _inflate(path: Path, whole: IO[bytes]) -> None:

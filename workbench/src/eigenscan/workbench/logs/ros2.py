@@ -7,6 +7,7 @@ import sqlite3
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import closing, suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from eigenscan.geometry.gridmap import MOST_NESTED, nesting
 from eigenscan.workbench.logs.bag import KINDS, BagMessage, Decoder, decoded, decoder, kind_of
 from eigenscan.workbench.logs.foxglove import FOXGLOVE
 from eigenscan.workbench.logs.log import LogError
-from eigenscan.workbench.logs.mcap_messages import McapFile
+from eigenscan.workbench.logs.mcap_messages import Copies, McapFile
 
 MOST_METADATA_BYTES = 300_000
 """A thousand topics."""
@@ -144,7 +145,12 @@ class McapBag:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.counters: Counter[str] = Counter()
-        self._files = [McapFile(file, self.counters) for file in _parts(path, "*.mcap", "*.mcap.zstd")]
+
+    @cached_property
+    def _files(self) -> list[McapFile]:
+        copies = Copies()
+        files = reversed(_parts(self.path, "*.mcap", "*.mcap.zstd"))  # whose first is read next
+        return [McapFile(file, self.counters, copies) for file in files][::-1]
 
     @property
     def progress(self) -> float:
