@@ -133,7 +133,7 @@ def test_what_is_typed_wrongly_takes_one_line(typed: str, place: str, part: str)
 @pytest.mark.parametrize(
     ("typed", "place", "part"),
     [
-        ("evaluate map.yaml drive.csv", "evaluate", "map.yaml: is a map, no log: give the log first"),
+        ("evaluate map.yaml drive.csv", "evaluate", "map.yaml: is a map, no log: give a log in its place"),
         ("evaluate drive.csv map.yaml", "evaluate", "drive.csv: the first line must name the columns"),
         ("evaluate one.csv map.yaml", "evaluate", "one.csv: the log has 1 scan; 3 are needed"),
         ("build map.yaml -o out", "build", "map.yaml: image map.pgm is missing"),

@@ -322,8 +322,19 @@ def test_what_is_no_map_is_named_as_such(given: str, words: str) -> None:
 
 
 def test_a_map_is_no_log(drive: Path) -> None:
-    with pytest.raises(ValueError, match=r"is a map, no log: give a log$"):
+    with pytest.raises(ValueError, match=r"is a map, no log: give a log in its place$"):
         read_log(drive / "map.yaml")
+
+
+def test_of_several_robots_one_is_named(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "two.mcap", {}) as writer:
+        for timed in STAGE.messages():
+            for robot in "ab":
+                address = {**timed.envelope.address, "robot": robot}
+                writer.write(replace(timed.envelope, address=address), timed.time)
+    with pytest.raises(ValueError, match="holds scans of a, b: choose one as robot"):
+        read_log(tmp_path / "two.mcap")
+    assert len(read_log(tmp_path / "two.mcap", robot="b")) == 60  # 12 s at 5 Hz
 
 
 def test_the_plot_shows_the_scan_on_the_walls(localizer: Localizer, drive: Path) -> None:

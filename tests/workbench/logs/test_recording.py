@@ -58,7 +58,7 @@ def test_what_was_recorded_late_is_put_in_order(tmp_path: Path) -> None:
 
 def test_one_robot_is_chosen(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", [scan(1, "a"), scan(1, "b"), moved(2, "b"), scan(2, "b")])
-    with pytest.raises(LogError, match=r"a\.mcap: holds scans of a, b: choose one with --robot"):
+    with pytest.raises(LogError, match=r"a\.mcap: holds scans of a, b: choose one as robot"):
         keys(path)
     assert keys(path, robot="b", site="lab") == [
         ("lab/robot/b/scan/raw/front", 1.0),

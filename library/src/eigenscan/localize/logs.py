@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from eigenscan.geometry.pose import from_pose3
 from eigenscan.localize.scan import Scan
-from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.channels import DEFAULT_ROBOT, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.extra import needs
 from eigenscan.schemas.scan_pb2 import RawScan
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
@@ -17,22 +17,19 @@ from numpy.typing import NDArray
 
 
 def read_log(
-    path: str | os.PathLike[str], lidar: str | None = None
+    path: str | os.PathLike[str], lidar: str | None = None, robot: str = DEFAULT_ROBOT
 ) -> list[tuple[Scan, NDArray[np.float64] | None]]:
     """Scans in order of time, each with its odometry (3,), m, m, rad, or None if there is none.
 
-    Reads the formats of `eigenscan import`. `lidar`: topic or name of the one to read; default: all. Warns
-    of what it set aside. Raises LogError (a ValueError) if the log cannot be read. Needs pip install
-    'eigenscan-localize[logs]'.
+    Reads the formats of `eigenscan import`. `lidar`: topic or name of the one to read; default: all.
+    `robot`: the one whose scans to read, in a recording of several. Warns of what it set aside. Raises
+    LogError (a ValueError) if the log cannot be read. Needs pip install 'eigenscan-localize[logs]'.
     """
     with needs("eigenscan-localize[logs]"):
-        from eigenscan.workbench.logs import LogError, LogOptions, open_log
+        from eigenscan.workbench.logs import LogOptions, open_log
         from eigenscan.workbench.logs.scans import odometry_at
     scans, steps = list[Scan](), list[tuple[int, NDArray[np.float64]]]()
-    try:
-        log = open_log(Path(path), LogOptions(lidars=(lidar,) if lidar else ()))
-    except LogError as error:  # which has words of the command line
-        raise LogError(str(error).replace("give the log first, then the map", "give a log")) from error
+    log = open_log(Path(path), LogOptions(robot=robot, lidars=(lidar,) if lidar else ()))
     for envelope in log.envelopes():
         if envelope.channel is ODOMETRY:
             steps.append((envelope.stamp, from_pose3(envelope.open(Odometry).pose)))

@@ -47,7 +47,7 @@ def _file(path: Path) -> Opener:
     if looks_like_carmen(path):
         return CarmenLog
     if path.suffix.lower() in _OF_A_MAP:
-        raise LogError(f"{path}: is a map, no log: give the log first, then the map")
+        raise LogError(f"{path}: is a map, no log: give a log in its place")
     if path.suffix.lower() == ".csv" and start:
         raise LogError(f"{path}: the first line must name the columns, with time_s: see docs/data.md")
     raise _unknown(path, "is of no known format" if start else "is empty")

@@ -66,7 +66,7 @@ class RecordingLog:
         if robot not in lidars:
             if len(lidars) > 1 or robot != DEFAULT_ROBOT:
                 names = ", ".join(sorted(lidars))
-                raise LogError(f"{self.path}: holds scans of {names}: choose one with --robot")
+                raise LogError(f"{self.path}: holds scans of {names}: choose one as robot")
             robot = next(iter(lidars))
         missing = sorted(set(self._options.lidars) - lidars[robot])
         if missing:
