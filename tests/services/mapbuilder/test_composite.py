@@ -1,5 +1,6 @@
 import gzip
 from collections.abc import Iterator
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from eigenscan.geometry.raycast import RayCaster
 from eigenscan.mapbuilder.mapping.chain import Sweep
 from eigenscan.mapbuilder.mapping.cloud import Outline
 from eigenscan.mapbuilder.mapping.composite import composite
+from eigenscan.mapbuilder.mapping.submap import Agreement, Submap, compare
 from eigenscan.mapbuilder.mapping.survey import Mapped, MappingError
 from eigenscan.mapbuilder.site import Plan, build_site
 
@@ -186,3 +188,19 @@ def test_scans_of_a_real_building_a_metre_apart_join_without_odometry() -> None:
     # two scans of a hallway may not show where they are: then they are not joined, rather than wrongly
     assert len(right) >= 0.75 * tried
     assert np.mean(right) > 0.95
+
+
+def test_each_pair_is_compared_once_as_it_joins_and_once_at_the_end(
+    furnished: GridMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared = []
+
+    def counted(one: Submap, other: Submap, pose: np.ndarray) -> Agreement:
+        compared.append({one.first, other.first})
+        return compare(one, other, pose)
+
+    monkeypatch.setattr("eigenscan.mapbuilder.mapping.composite.compare", counted)
+    joined(*(scan(furnished, pose, k) for k, pose in enumerate(poses_in_the_room(0))))
+    pairs = [set(pair) for pair in combinations(range(4), 2)]
+    assert [compared.count(pair) for pair in pairs] == [2] * 6
+    assert len(compared) == 12

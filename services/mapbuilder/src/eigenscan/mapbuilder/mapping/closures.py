@@ -135,8 +135,7 @@ class Closer:
         `window` (2,), m and rad; `strict`: factor on the required overlap.
         """
         first, second = self.submaps[one], self.submaps[other]
-        poses, heights = correlate(first.ground, second.cloud, expected, window)
-        poses = poses[heights > 0.2 * strict][:5]
+        poses = correlate(first.ground, second.cloud, expected, window, 0.2 * strict)[0][:5]
         if not len(poses):
             return None
         aligned = [align(first.cloud, second.cloud, pose).pose for pose in poses]

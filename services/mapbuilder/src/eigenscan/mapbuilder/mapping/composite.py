@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations, product
 
 import numpy as np
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
@@ -38,6 +39,8 @@ class _Parts:
     matches: Sequence[tuple[int, int, Match]]
     poses: Array = field(init=False)
     part: list[int] = field(init=False)
+    _refused: set[tuple[int, int]] = field(init=False)
+    """Parts, as they are now, that do not join."""
 
     def join(self) -> list[int]:
         """Joins parts, those of the surest matches first; returns the scans of the largest.
@@ -47,6 +50,7 @@ class _Parts:
         """
         for confirmed in (False, True):
             self.poses, self.part = np.zeros((len(self.submaps), 3)), list(range(len(self.submaps)))
+            self._refused = set()
             while any(self._joined(one, other, confirmed) for one, other, _ in self.matches):
                 pass
             if len(self.matches) >= len(self.submaps) and self._agrees():
@@ -59,7 +63,7 @@ class _Parts:
     def _agrees(self) -> bool:
         """Whether each match is as the scans lie, and no wall stands where another scan saw through."""
         joined = self._scans(max(self.part, key=self.part.count))
-        return not self.opposed() and self._score(joined, joined, self.poses[joined]) >= _SOUND
+        return not self.opposed() and self._score(combinations(joined, 2), self.poses) >= _SOUND
 
     def opposed(self) -> int:
         """How many matches are not as the scans lie, or of scans of two parts."""
@@ -72,8 +76,9 @@ class _Parts:
     def _joined(self, one: int, other: int, confirmed: bool) -> bool:
         """Whether the parts of two scans could be joined, and now are: matches vote, as for a bridge."""
         here, there = self.part[one], self.part[other]
-        if here == there:
+        if here == there or (here, there) in self._refused:
             return False
+        self._refused.add((here, there))
         votes = [
             (a, b, match.pose, match.net) if self.part[a] == here else (b, a, inverse(match.pose), match.net)
             for a, b, match in self.matches
@@ -91,21 +96,18 @@ class _Parts:
                 if len(voters) < min(2, self.part.count(part)):
                     return False
         moved = self._scans(there)
-        poses = compose(moves[chosen][0], self.poses[moved])
-        if self._score(self._scans(here), moved, poses) < Closing.score:
+        poses = self.poses.copy()
+        poses[moved] = compose(moves[chosen][0], self.poses[moved])
+        if self._score(product(self._scans(here), moved), poses) < Closing.score:
             return False
-        self.poses[moved] = poses
+        self.poses = poses
         self.part = [here if its == there else its for its in self.part]
+        self._refused = {pair for pair in self._refused if not {here, there} & set(pair)}
         return True
 
-    def _score(self, placed: Sequence[int], others: Sequence[int], poses: Array) -> float:
-        """Score of `compare` over all pairs of the placed scans and the others at `poses` (N, 3)."""
-        fits = [
-            compare(self.submaps[k], self.submaps[n], between(self.poses[k], pose))
-            for n, pose in zip(others, poses, strict=True)
-            for k in placed
-            if k != n
-        ]
+    def _score(self, pairs: Iterable[tuple[int, int]], poses: Array) -> float:
+        """Score of `compare` over these pairs of scans, all at `poses` (N, 3)."""
+        fits = [compare(self.submaps[k], self.submaps[n], between(poses[k], poses[n])) for k, n in pairs]
         return Agreement(sum(fit.agree for fit in fits), sum(fit.contradict for fit in fits), 0).score
 
 

@@ -16,7 +16,7 @@ from eigenscan.geometry.pose import Array, between, transform
 from eigenscan.mapbuilder.mapping.cloud import Cloud
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
-from scipy.ndimage import gaussian_filter, maximum_filter
+from scipy.ndimage import gaussian_filter
 
 CELL = 0.2
 """m, of the plane histogram."""
@@ -25,6 +25,8 @@ ROTATIONS, SHIFTS = 6, 3
 """Peaks that are followed."""
 AGAINST = 0.5
 """Weight of a wall in free space, relative to one on a wall."""
+_BESIDE = np.indices((5, 5)).reshape(2, -1) - 2
+"""Rows and columns, relative to a peak's, of the cells (25,) that it is the highest of."""
 
 
 @dataclass(frozen=True)
@@ -65,17 +67,19 @@ def direction_histogram(cloud: Cloud) -> Array:
     return (np.roll(counts, 1) + 2 * counts + np.roll(counts, -1)) / 4
 
 
-def correlate(ground: Ground, cloud: Cloud, expected: ArrayLike, window: ArrayLike) -> tuple[Array, Array]:
+def correlate(
+    ground: Ground, cloud: Cloud, expected: ArrayLike, window: ArrayLike, least: float = -np.inf
+) -> tuple[Array, Array]:
     """Poses (K, 3) of the cloud at peaks of its correlation with the ground, and heights (K,), best first.
 
     Only within `window` (2,), m and rad, of `expected` (3,): the distance of the cloud's middle, and of its
-    heading. A height of 1: every point is on a wall.
+    heading. Only heights above `least`; a height of 1: every point is on a wall.
     """
     expected, (reach, turn) = np.asarray(expected, dtype=np.float64), np.asarray(window, dtype=np.float64)
     middle = cloud.points.mean(axis=0)
     at = transform(expected, middle)
     found = [
-        _shifts(ground, cloud, angle, middle, at, reach)
+        _shifts(ground, cloud, angle, middle, at, reach, least)
         for angle in _rotations(ground, cloud, expected[2], turn)
     ]
     if not found:
@@ -98,7 +102,7 @@ def _rotations(ground: Ground, cloud: Cloud, expected: float, window: float) -> 
 
 
 def _shifts(
-    ground: Ground, cloud: Cloud, angle: float, middle: Array, at: Array, reach: float
+    ground: Ground, cloud: Cloud, angle: float, middle: Array, at: Array, reach: float, least: float
 ) -> tuple[Array, Array]:
     """Poses (K, 3) with one heading, their middle within `reach` of `at`, and their heights (K,)."""
     turned = transform([0.0, 0.0, angle], cloud.points)
@@ -112,20 +116,17 @@ def _shifts(
     np.add.at(counts, (cells[:, 1], cells[:, 0]), 1.0 / len(cells))
     product = fft.rfft2(ground.raster, size) * np.conj(fft.rfft2(counts, size))
     surface = fft.irfft2(product, size)
-    rows, columns = (
-        np.where(np.arange(n) > m, np.arange(n) - n, np.arange(n))
-        for n, m in zip(size, (height, width), strict=True)
-    )
+    row, column = np.nonzero(surface > least)  # few: to look for peaks among all takes longer than the rest
     # a shift of cells moves the cloud's own first cell onto the ground's
-    x, y = (columns + ground.low[0] - low[0]) * CELL, (rows + ground.low[1] - low[1]) * CELL
+    x = (np.where(column > width, column - size[1], column) + ground.low[0] - low[0]) * CELL
+    y = (np.where(row > height, row - size[0], row) + ground.low[1] - low[1]) * CELL
     away = at - transform([0.0, 0.0, angle], middle)
-    inside = np.hypot(x[None, :] - away[0], y[:, None] - away[1]) <= reach
-    top = inside & (surface >= maximum_filter(surface, 5, mode="wrap"))
-    row, column = np.nonzero(top)
-    best = np.argsort(-surface[row, column], kind="stable")[:SHIFTS]
-    row, column = row[best], column[best]
-    poses = np.column_stack([x[column], y[row], np.full(len(row), wrap(angle))])
-    return poses, surface[row, column]
+    near = np.nonzero(np.hypot(x - away[0], y - away[1]) <= reach)[0]
+    rows, columns = row[near, None] + _BESIDE[0], column[near, None] + _BESIDE[1]
+    heights = surface[row, column]
+    top = near[heights[near] >= surface[rows % size[0], columns % size[1]].max(axis=1)]
+    best = top[np.argsort(-heights[top], kind="stable")[:SHIFTS]]
+    return np.column_stack([x[best], y[best], np.full(len(best), wrap(angle))]), heights[best]
 
 
 def _cells(points: Array) -> NDArray[np.int64]:
