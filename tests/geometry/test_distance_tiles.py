@@ -35,5 +35,19 @@ def test_beyond_the_farthest_that_is_asked_for_only_that_is_known() -> None:
     assert (found[~near] > 50.0).all()
 
 
+def test_a_tile_without_space_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    space = np.zeros((400, 500), dtype=bool)
+    space[70:80, 110:130] = True
+    exact, searched = distance_transform_edt(space), list[int]()
+
+    def counted(crop: np.ndarray) -> np.ndarray:
+        searched.append(crop.size)
+        return distance_transform_edt(crop)
+
+    monkeypatch.setattr("eigenscan.geometry.distance_tiles.distance_transform_edt", counted)
+    np.testing.assert_array_equal(whole(space, tile=100), exact)
+    assert len(searched) == 1
+
+
 def test_where_there_is_nothing_to_be_near_to_all_is_infinitely_far() -> None:
     assert (whole(np.ones((30, 40), dtype=bool), tile=16) == np.inf).all()

@@ -106,3 +106,14 @@ def test_faces_are_what_a_ray_meets() -> None:
     full, thin = (RayCaster.of(g).cast(np.array([*pose, 0.0]), bearings, 20.0) for g in (fat, faces))
     assert np.array_equal(full, thin)
     assert np.count_nonzero(faces.cells == OCCUPIED) < 0.5 * np.count_nonzero(fat.cells == OCCUPIED)
+
+
+@pytest.mark.parametrize("before", [(0, 0), (1024, 0), (300, 1024)])
+def test_unknown_ground_around_changes_nothing(before: tuple[int, int]) -> None:
+    grid = fatter(two_rooms(), 0.1)
+    alone, (top, left) = Surfaces.of(grid), before
+    around = np.pad(grid.cells, ((top, 50), (left, 900)), constant_values=UNKNOWN)
+    found = Surfaces.of(GridMap(around, grid.resolution, grid.origin))
+    assert found.thickness == alone.thickness
+    np.testing.assert_array_equal(found.grid.cells[top : top + 100, left : left + 200], alone.grid.cells)
+    assert (np.delete(found.grid.cells, np.s_[top : top + 100], axis=0) == UNKNOWN).all()

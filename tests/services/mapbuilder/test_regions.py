@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap, read_map
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, read_map
 from eigenscan.mapbuilder.positions import free_positions, standable
 from eigenscan.mapbuilder.regions import Division, Regions, divide
 from hypothesis import given, settings
@@ -40,6 +40,15 @@ def test_regions_overlap_by_the_margin_through_doors_and_not_through_walls(offic
     assert regions_of(regions, (5.5, 2.9)) == {hallway}  # 0.3 m from the room, behind the wall
     assert regions_of(regions, (6.4, 5.0)) == {room_left}  # 0.6 m from the other room, behind the wall
     assert regions_of(regions, (3.45, 5.0)) == {room_left}  # 1.8 m into the room
+
+
+def test_unknown_ground_around_changes_no_region(office: GridMap) -> None:
+    alone = divide(office, Division())
+    around = np.pad(office.cells, ((40, 300), (600, 20)), constant_values=UNKNOWN)
+    found = divide(GridMap(around, office.resolution, office.origin), Division())
+    top, left, (height, width) = 40 // found.block, 600 // found.block, alone.core.shape
+    np.testing.assert_array_equal(found.core[top : top + height, left : left + width], alone.core)
+    assert np.count_nonzero(found.core) == np.count_nonzero(alone.core)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.5, 2.0])

@@ -27,7 +27,19 @@ def distance_tiles(
             yield part, _distances(space, part, farthest)
 
 
+def box_of(mask: NDArray[np.bool_], margin: int = 0, tile: int = 1) -> tuple[slice, slice]:
+    """Part of a raster (H, W) with `mask` and `margin` cells around it; it begins where a tile does."""
+    found = []
+    for axis in (1, 0):
+        where = np.flatnonzero(mask.any(axis=axis))
+        low, high = (int(where[0]), int(where[-1]) + 1) if len(where) else (0, 0)
+        found.append(slice(max(low - margin, 0) // tile * tile, high + margin))
+    return found[0], found[1]
+
+
 def _distances(space: NDArray[np.bool_], part: tuple[slice, slice], farthest: float) -> NDArray[np.float64]:
+    if not space[part].any():  # as most of a map with much unknown ground
+        return np.zeros(space[part].shape)
     halo = _HALO
     while True:
         around = tuple(

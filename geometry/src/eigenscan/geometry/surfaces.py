@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.geometry.distance_tiles import TILE, distance_tiles
+from eigenscan.geometry.distance_tiles import TILE, box_of, distance_tiles
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter
@@ -52,21 +52,24 @@ class Surfaces:
         wall = grid.cells == OCCUPIED
         if not wall.any():
             return cls(grid, thickness or grid.resolution)
+        box = box_of(wall, 1, TILE)  # beyond, nothing changes
+        wall, part = wall[box], GridMap(grid.cells[box], grid.resolution, grid.origin)
         depth = _depth(wall, DEEPEST_M / grid.resolution)
         middle = wall & (depth >= maximum_filter(depth, 3) - _ROUNDING)
-        cells = 0.5 * thickness / grid.resolution if thickness else _ordinary_depth(grid, depth, middle)
+        cells = 0.5 * thickness / grid.resolution if thickness else _ordinary_depth(part, depth, middle)
         gone = wall & ~middle & (depth < cells - _ROUNDING)
         found = 2.0 * cells * grid.resolution
         if not gone.any():
             return cls(grid, found)
-        thinned = grid.cells.copy()
+        cells_of_all = grid.cells.copy()
+        thinned = cells_of_all[box]
         thinned[gone] = UNKNOWN
         # only ground reached without crossing the middle is free
         reached = binary_dilation(
             thinned == FREE, np.ones((3, 3), dtype=bool), int(np.ceil(cells)) + 1, mask=gone
         )
         thinned[reached & gone] = FREE
-        return cls(GridMap(thinned, grid.resolution, grid.origin), found, thinned=True)
+        return cls(GridMap(cells_of_all, grid.resolution, grid.origin), found, thinned=True)
 
 
 def faces_of(grid: GridMap) -> GridMap:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.geometry.distance_tiles import TILE, distance_tiles
+from eigenscan.geometry.distance_tiles import TILE, box_of, distance_tiles
 from eigenscan.geometry.gridmap import FREE, GridMap
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, find_objects, label
@@ -124,13 +124,16 @@ def _half_widths(space: NDArray[np.bool_], block: int) -> NDArray[np.float64]:
 
 def _cut(width: NDArray[np.float64], depth: float) -> NDArray[np.int32]:
     """Watershed of the free half-widths (0: not free), from maxima `depth` above their saddles, in log."""
+    whole = np.zeros(width.shape, dtype=np.int32)
+    box = box_of(width > 0, 1)
+    width = width[box]
     space = width > 0
     level = np.full(width.shape, _OUTSIDE)
     level[space] = np.log(width[space])
     domes = reconstruction(np.where(space, level - depth, _OUTSIDE), level)
     markers, _ = label(local_maxima(domes) & space, structure=_EIGHT)
-    cut: NDArray[np.int32] = watershed(-level, markers, mask=space, connectivity=2)
-    return cut
+    whole[box] = watershed(-level, markers, mask=space, connectivity=2)
+    return whole
 
 
 def _halve(core: NDArray[np.int32], largest: float) -> NDArray[np.int32]:
