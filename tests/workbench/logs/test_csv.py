@@ -142,6 +142,32 @@ def test_odometry_limits_lidars_and_mount(tmp_path: Path) -> None:
     assert len(_scans(tmp_path / "a.csv")) == 2
 
 
+@pytest.mark.parametrize(
+    ("columns", "cells"),
+    [
+        ("x_mm,y_mm,heading_rad", "500,-1000,0.5"),
+        ("x_cm,y_m,theta_rad", "50,-1,0.5"),
+        ("x_m,y_m,yaw_deg", f"0.5,-1,{math.degrees(0.5)}"),
+    ],
+)
+@pytest.mark.parametrize(
+    "beams", ["angle_min_deg,angle_increment_deg,range_m_0", "quality,angle_deg,range_m"]
+)
+def test_odometry_may_have_other_units(tmp_path: Path, columns: str, cells: str, beams: str) -> None:
+    (tmp_path / "a.csv").write_text(f"time_s,{columns},{beams}\n1.0,{cells},1,20,4\n")
+    moved, _ = open_log(tmp_path / "a.csv").envelopes()
+    assert np.allclose(from_pose3(moved.open(Odometry).pose), [0.5, -1.0, 0.5])
+
+
+def test_the_points_of_beams_are_no_odometry(tmp_path: Path) -> None:
+    """Many programs write them beside angle and range, in the lidar's frame."""
+    head = "time_s,angle_deg,range_mm,x_mm,y_mm"
+    lines = ["1,0,1000,1000,0", "1,90,2000,0,2000", "1,180,3000,-3000,0", "1,270,4000,0,-4000"]
+    (tmp_path / "a.csv").write_text("\n".join([head, *lines]))
+    (scan,) = open_log(tmp_path / "a.csv").envelopes()
+    assert sorted(scan.open(RawScan).ranges) == [1.0, 2.0, 3.0, 4.0]
+
+
 def test_a_line_states_the_time_between_its_beams(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(WIDE.replace("\n", ",time_increment_s\n") + "1,0,1,2,2,0.0002\n")
     (scan,) = _scans(tmp_path / "a.csv")
@@ -214,14 +240,11 @@ WIDE = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"
         ("time_s,angle_deg\n1,2\n", "line 1: no columns of ranges"),
         ("time_s,angle_deg,range_m\n1,2,3\n2,x,3\n", "line 3, column angle_deg: 'x'"),
         (WIDE + "1,0,1,4,\xff\x00\n", "line 2, column range_m_1"),
-        (
-            WIDE.replace("time_s", "time_s,x_m,y_m,heading_rad"),
-            "line 1: odometry needs x_m, y_m and heading_deg; lacks heading_deg, has heading_rad: convert",
-        ),
-        (WIDE.replace("time_s", "time_s,x_m,y_m,theta_deg"), "lacks heading_deg, has theta_deg: convert"),
-        (WIDE.replace("time_s", "time_s,x_mm,y_mm,heading_deg"), "lacks x_m, y_m, has x_mm, y_mm: convert"),
-        (WIDE.replace("time_s", "time_s,x_mm,y_mm,heading_rad"), "has x_mm, y_mm, heading_rad: convert"),
-        (WIDE.replace("time_s", "time_s,x_m,y_m"), "lacks heading_deg: add what is missing"),
+        (WIDE.replace("time_s", "time_s,x_m,y_m"), "line 1: odometry needs x_m, y_m and heading_deg"),
+        (WIDE.replace("time_s", "time_s,x_mm,y_mm"), "lacks heading_deg: add it; or, if it is no odometry"),
+        (WIDE.replace("time_s", "time_s,yaw_rad,y_m"), "lacks x_m: add it"),
+        (WIDE.replace("time_s", "time_s,x_m,x_mm,y_m,yaw_rad"), "has x_m and x_mm: keep one"),
+        ("time_s,angle_deg,range_m,x_m,yaw_deg\n1,2,3,4,5\n", "lacks y_m: add it"),
         (
             WIDE.replace("time_s", "time_s,x_m,y_m,heading_deg") + "1,2,3,,0,1,4,5\n",
             "line 2, column heading_deg: is empty",

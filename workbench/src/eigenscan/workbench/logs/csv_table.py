@@ -28,20 +28,23 @@ from numpy.typing import NDArray
 
 TIME, LIDAR = "time_s", "lidar"
 LINE_A_SCAN = ("angle_min_deg", "angle_increment_deg")
-ODOMETRY = ("x_m", "y_m", "heading_deg")
-OF_ODOMETRY = frozenset(
-    f"{name}_{unit}"
-    for name in ("x", "y", "heading", "theta", "yaw")
-    for unit in ("m", "cm", "mm", "deg", "rad")
+ODOMETRY = (
+    {"x_m": 1.0, "x_cm": 1e-2, "x_mm": 1e-3},
+    {"y_m": 1.0, "y_cm": 1e-2, "y_mm": 1e-3},
+    {
+        f"{name}_{unit}": factor
+        for name in ("heading", "theta", "yaw")
+        for unit, factor in (("deg", np.pi / 180.0), ("rad", 1.0))
+    },
 )
-"""Columns that are meant as odometry, in any unit."""
+"""Columns of x, of y and of the heading, and their units in m and rad."""
 LIMITS = ("range_min_m", "range_max_m")
 INCREMENT = "time_increment_s"
 ANGLES = {"angle_deg": 1.0, "angle_cw_deg": -1.0}
 """Columns with a beam's angle, and their sign: SLAMTEC's lidars count clockwise."""
 RANGES = {"range_m": 1.0, "range_mm": 1e-3}
 """Columns with a beam's range (or, with _0, _1, ..., all ranges of a line), and their unit in m."""
-KNOWN = frozenset({TIME, LIDAR, *LINE_A_SCAN, *ODOMETRY, *LIMITS, INCREMENT, *ANGLES, *RANGES})
+KNOWN = frozenset({TIME, LIDAR, *LINE_A_SCAN, *LIMITS, INCREMENT, *ANGLES, *RANGES}.union(*ODOMETRY))
 LONGEST_HEADER = 1_000_000
 DEFAULT_LIDAR = "lidar"
 
@@ -76,6 +79,7 @@ class _Columns:
     places: Mapping[str, int]
     ranges: NDArray[np.int64]  # columns of the ranges, in the order of their beams
     unit: float  # of the ranges, m
+    odometry: Mapping[str, float]  # columns of x, y and heading, and their units in m and rad; or none
     angle: str = ""  # column of a beam's angle, if each line is a beam
 
     @classmethod
@@ -87,7 +91,7 @@ class _Columns:
         for name in places:
             if name != name.lower() in KNOWN:
                 raise LogError(f"{path}: line 1: has the column {name}: rename it to {name.lower()}")
-        _refuse_other_odometry(path, places)
+        angle = next((each for each in ANGLES if each in places), "")
         for name, unit in RANGES.items():
             beams = list[int]()
             while f"{name}_{len(beams)}" in places:
@@ -97,10 +101,10 @@ class _Columns:
                 missing = [each for each in LINE_A_SCAN if each not in places]
                 if missing:
                     raise LogError(f"{path}: line 1: a line a scan needs the column {missing[0]}")
-                return cls(path, places, np.array(beams), unit)
-            angle = next((each for each in ANGLES if each in places), None)
+                return cls(path, places, np.array(beams), unit, _odometry(path, places, is_beam=False))
             if name in places and angle:
-                return cls(path, places, np.array([places[name]]), unit, angle)
+                of_odometry = _odometry(path, places, is_beam=True)
+                return cls(path, places, np.array([places[name]]), unit, of_odometry, angle)
         raise LogError(
             f"{path}: line 1: no columns of ranges: give range_m_0, range_m_1, … (a line a scan), "
             "or angle_deg and range_m (a line a beam); in mm they are range_mm"
@@ -115,17 +119,21 @@ def _refuse_gaps(path: Path, places: Mapping[str, int], name: str, count: int) -
         raise LogError(f"{path}: line 1: has the column {stem}{later[0]} and lacks {stem}{count}")
 
 
-def _refuse_other_odometry(path: Path, places: Mapping[str, int]) -> None:
-    """Raises LogError where odometry has other columns or units: it would be left out."""
-    lacks = [name for name in ODOMETRY if name not in places]
-    found = [name for name in places if name in OF_ODOMETRY]
-    if found and lacks:
-        others = [name for name in found if name not in ODOMETRY]
-        instead = f", has {', '.join(others)}: convert and rename" if others else ": add what is missing"
-        instead += "; or, if it is no odometry, rename it"
-        raise LogError(
-            f"{path}: line 1: odometry needs x_m, y_m and heading_deg; lacks {', '.join(lacks)}{instead}"
-        )
+def _odometry(path: Path, places: Mapping[str, int], *, is_beam: bool) -> dict[str, float]:
+    """Columns of x, y and heading, and their units in m and rad; empty: there is no odometry.
+
+    Raises LogError where one of them is missing or there twice. A beam's x and y without a heading are the
+    point that it met.
+    """
+    found = [[name for name in named if name in places] for named in ODOMETRY]
+    if not any(found) or (is_beam and not found[2]):
+        return {}
+    needs = "odometry needs x_m, y_m and heading_deg, or other units (_cm, _mm, _rad)"
+    for named, there in zip(ODOMETRY, found, strict=True):
+        if len(there) != 1:
+            wrong = f"has {' and '.join(there)}: keep one" if there else f"lacks {next(iter(named))}: add it"
+            raise LogError(f"{path}: line 1: {needs}; {wrong}; or, if it is no odometry, rename it")
+    return {there[0]: named[there[0]] for named, there in zip(ODOMETRY, found, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -206,10 +214,11 @@ class CsvLog:
             if not 0 <= time <= LATEST_S:
                 raise LogError(f"{self.path}: line {lines[0].number}, column {TIME}: {time:g} s is no time")
             stamp = round(time * 1e9)
-            moved = next((line for line in lines if any(map(line.text, ODOMETRY))), None)
+            of_odometry = lines[0].columns.odometry
+            moved = next((line for line in lines if any(map(line.text, of_odometry))), None)
             if moved is not None:
-                x, y, heading = (moved.value(name) for name in ODOMETRY)
-                yield odometry(self.options, stamp, (x, y, np.deg2rad(heading)))
+                pose = [moved.value(name) * unit for name, unit in of_odometry.items()]
+                yield odometry(self.options, stamp, pose)
                 lines = [line for line in lines if line.has_beams]
                 if not lines:
                     continue
