@@ -193,8 +193,8 @@ def missed(seen: Observation) -> float:
     Of a list that is cut a place may be missing that is as likely as the last one there. Of many rooms alike
     30 leave the right one out in one scan of four, 100 in one of ten.
     """
-    found = seen.likelier_than_unlisted().log_likelihoods
-    if not seen.cut or not len(found):
+    found = seen.likelier_than_unlisted().log_likelihoods if seen.cut else np.empty(0)
+    if not len(found):
         return evidence.SHOWN_YET_MISSED
     return max(evidence.SHOWN_YET_MISSED, evidence.BEHIND * float(found.min() - found.max()))
 
