@@ -94,13 +94,6 @@ class Pipeline:
             if model.channel in core.inputs:
                 list(core.handle(model))
 
-    def _cold(self) -> tuple[Loopback, ScanIngestCore, TrackerCore]:
-        """The whole pipeline, knowing the map and nothing of the pose; its scan-ingest and its tracker."""
-        ingest, tracker = ScanIngestCore(self._settings.ingest), TrackerCore(self._tracker)
-        self._teach(tracker)
-        self._projector.forget_robots()
-        return Loopback([ingest, self._projector, tracker]), ingest, tracker
-
     def warm_up(self, received: Iterable[Envelope]) -> None:
         """Handles a few messages before the measurement, so that all code is compiled."""
         self.run(received)
@@ -108,7 +101,10 @@ class Pipeline:
 
     def run(self, received: Iterable[Envelope]) -> Run:
         """Receives raw scans and odometry in the order given, from a cold start."""
-        loop, ingest, tracker = self._cold()
+        ingest, tracker = ScanIngestCore(self._settings.ingest), TrackerCore(self._tracker)
+        self._teach(tracker)
+        self._projector.forget_robots()
+        loop = Loopback([ingest, self._projector, tracker])
         answers_published, cpu_ms, scans, published = (
             list[_Published](),
             list[float](),
