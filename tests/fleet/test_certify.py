@@ -23,6 +23,7 @@ from eigenscan.runtime.router import RouterSettings
 from eigenscan.runtime.settings import load
 from eigenscan.tracker.options import TrackerOptions
 
+from tests.environment import ROOT
 from tests.fleet.conftest import run
 
 FIRST = ("certify", "--site", "hospital", "--address", "10.0.0.5", "--address", "router.hospital.example")
@@ -42,6 +43,21 @@ def certificate(path: Path) -> x509.Certificate:
 
 def content(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_site_learns_where_its_map_belongs(folder: Path) -> None:
+    """The mapbuilder of /etc/eigenscan needs it there; the page and the command name it before the copy."""
+    settings = (folder / "site/eigenscan.toml").read_text()
+    (named,) = [line for line in settings.splitlines() if line.startswith("map =")]
+    place = named.partition(f"{layout.INSTALLED}/")[2].strip('"')
+    page = (ROOT / "docs/fleet.md").read_text()
+    (row,) = [line for line in page.splitlines() if line.startswith("| `fleet/site`")]
+    assert place in row
+    printed = run("certify", "--robot", "r18", "-o", folder).stdout
+    assert f"add your map as {place}" in printed
+    (folder / "site" / place).parent.mkdir()
+    (folder / "site" / place).touch()
+    assert "add your map" not in run("certify", "--robot", "r19", "-o", folder).stdout
 
 
 def test_every_private_key_is_its_owners_only_and_no_configuration_holds_one(folder: Path) -> None:

@@ -55,7 +55,8 @@ def certify(
     with layout.mended_by_configure(folder, "certificates are made, their configuration is not"):
         layout.configure(folder)
     typer.echo(f"{folder / 'authority'}: signs certificates; keep it away from robots and servers")
-    typer.echo(f"{folder / 'site'}: copy it to {layout.INSTALLED} on the site's server")
+    needs = "" if (folder / "site/maps/map.yaml").exists() else "add your map as maps/map.yaml, and "
+    typer.echo(f"{folder / 'site'}: {needs}copy it to {layout.INSTALLED} on the site's server")
     typer.echo(f"{folder / 'operator'}: copy it to {layout.INSTALLED} where the fleet is looked after")
     for name in fleet.groups:
         typer.echo(f"{folder / 'groups' / name}: copy it to {layout.INSTALLED} where its projector runs")
