@@ -19,6 +19,7 @@ from unittest import mock
 import pytest
 import zenoh
 from eigenscan.recorder.core import RecorderCore
+from eigenscan.recorder.files import Limits
 from eigenscan.recorder.mcap_sink import RETRY_S, McapSink
 from eigenscan.recorder.node import batch_s, make_core
 from eigenscan.recorder.options import RecorderOptions
@@ -312,6 +313,38 @@ def test_a_clock_that_is_set_ahead_and_back_between_messages_delays_nothing(tmp_
     clock.now += S
     sink.write(pose(3))
     assert [record.publish_time for record in read(tmp_path / "a.mcap")] == [1, 2, 3]
+    sink.close()
+
+
+def test_a_clock_that_is_set_back_loses_no_message(tmp_path: Path) -> None:
+    clock = Clock()
+    sink = McapSink(tmp_path, "s", clock, 0.5, {}, Limits(file_ns=20 * S))
+    for number in range(1, 601):
+        clock.now += S // 10 - 3600 * S * (number == 300)
+        sink.write(pose(number))
+    clock.now += S
+    sink.tick()
+    meanwhile = list(read(tmp_path))
+    sink.close()
+    for found in (meanwhile, list(read(tmp_path))):
+        assert sorted(record.publish_time for record in found) == list(range(1, 601))
+        assert [record.log_time for record in found] == sorted(record.log_time for record in found)
+
+
+def test_a_deleted_file_is_reported_for_a_minute_also_where_the_clock_is_set_back(tmp_path: Path) -> None:
+    clock = Clock()
+    sink = McapSink(tmp_path / "a.mcap", "s", clock, 0.5, {})
+    for _ in range(3):
+        clock.now += S
+        sink.write(pose(1))
+        (tmp_path / "a.mcap").unlink(missing_ok=True)
+    assert "was deleted" in sink.problem
+    clock.now -= 3600 * S
+    sink.write(pose(2))
+    assert "was deleted" in sink.problem
+    clock.now += 61 * S
+    sink.write(pose(3))
+    assert sink.problem == ""
     sink.close()
 
 

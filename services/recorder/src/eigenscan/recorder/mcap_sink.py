@@ -142,6 +142,7 @@ class McapSink(Sink):
         self._flushed_at -= back
         self._opened_at -= back
         self._retry_at -= back
+        self._gone_at -= back
 
     def _flush(self, writer: RecordingWriter, now: int) -> None:
         # a tick may have flushed by a clock that was set back since
