@@ -42,6 +42,7 @@ FARTHEST = 1e7
 SEEN_NS = 1_000_000_000
 """Age of a lidar's last scan from which it is not reckoned with any more."""
 MOST_LIDARS = 4
+"""Of a robot that are reckoned with: a sender may invent names."""
 
 NEW_M, NEW_RAD = 0.5, 0.5
 """A shorter way or turn shows what has been seen: scans from one place are no further evidence."""

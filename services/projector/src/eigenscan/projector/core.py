@@ -60,6 +60,7 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from google.protobuf.wrappers_pb2 import StringValue
 
 ASK_AGAIN_NS = 10_000_000_000
+"""Between two requests for a lidar's eigenspaces: a mapbuilder may have started since."""
 
 
 class ProjectorCore:

@@ -21,6 +21,7 @@ STALE = 1_500_000_000
 MARGIN_M, SIGMAS, SPEED = 2.0, 3.0, 2.0
 """Reach around a pose: m, standard deviations, and m/s since then."""
 _REMEMBERED = 128
+"""Poses of a robot: more than come within STALE at 80 Hz."""
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,13 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 CELL_M = 0.2
+"""Side of a cell of the ground: a quarter of NEAR_M."""
 STEP_M = 0.05
 """m, from one look to the next along a straight way: a cell of most maps."""
 NEAR_M = 0.8
 """m around the robot in which it may be as near to a wall as it is: it can leave where it stands."""
 DIAGONAL = 2.0**0.5
+"""Way to the cell across a corner, in cells."""
 BACK = 4
 """Cells before the end of a way by which its last heading is known."""
 

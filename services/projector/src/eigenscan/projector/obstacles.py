@@ -22,6 +22,7 @@ EXPLAINED, OBSTACLE, MISSING = 1, 0, 255
 USUAL_ERROR = 0.5
 """m, root mean square of an error vector at which the confidence has fallen to exp(-1/2)."""
 _LARGEST_ERROR = 1.0
+"""m, as which a larger error of a beam counts in the confidence."""
 
 
 @dataclass(frozen=True)

@@ -40,8 +40,11 @@ class Schedule:
 
 SLIDE = Schedule(0.5, 0.15, 6)
 POLISH = Schedule(0.2, 0.1, 6)
+"""From a position of the grid to the walls; and from there to the best fit of all beams."""
 _LARGEST_STEP_M, _LARGEST_STEP_RAD = 0.15, 0.1
+"""Longest step of one evaluation, m and rad."""
 _DAMPING = 1e-3
+"""Added to each diagonal, for each point: along a hallway the beams fix nothing, and a step stays small."""
 _LANES = 16
 """Single numbers in the widest vector registers."""
 _HEADINGS, _HEADINGS_PER_RAD = 512, 512 / (2.0 * np.pi)

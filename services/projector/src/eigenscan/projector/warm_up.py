@@ -24,6 +24,7 @@ from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, Track, Tracks
 
 _CAP_M, _BEAMS, _SPACING_M = 15.0, 180, 0.25
+"""m, number and m: of the room's models, and the beams of its scans."""
 _PLACE = (2.2, 1.7, 0.4)
 """Pose of the scans, map frame."""
 

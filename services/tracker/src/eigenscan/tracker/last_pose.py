@@ -20,6 +20,7 @@ from eigenscan.tracker.relocation import aged
 from google.protobuf.message import DecodeError
 
 KEEP_EVERY_NS = 1_000_000_000
+"""By the claims' stamps, between two writes of a robot's file."""
 
 
 class Remembering:

@@ -23,11 +23,14 @@ HELD = 1e-4
 """Of coefficients that no beam shows, how much they count all the same, for there must be one least."""
 ALWAYS = 64
 """Blocks that are opened in addition to those that the wanted poses would fill."""
-_STEPS = 127
-_LEVELS = 256
+_STEPS, _LEVELS = 127, 256
+"""A coefficient is held as a whole number of 8 bits: up to _STEPS on either side of 0, of _LEVELS values."""
 _BINS = 1024
+"""Of the costs below the mean, by which the least are chosen."""
 _CHUNK = 1024
+"""Blocks whose centres are compared in a row where the scan shows all directions."""
 _AT_ONCE = 8
+"""Coefficients whose differences are added in one pass over a block."""
 _O1, _O2, _O3, _O4, _O5, _O6, _O7 = (np.uint64(k * BLOCK) for k in range(1, _AT_ONCE))
 
 Bytes = NDArray[np.int8]
