@@ -326,6 +326,15 @@ def test_a_log_without_odometry_and_one_with_two_lidars(drive: Drive, tmp_path: 
     assert both["per_window"][0]["scans"] == 2 * alone["per_window"][0]["scans"]
 
 
+def test_a_reference_of_another_frame_is_named(drive: Drive) -> None:
+    figures = run(drive.task) | {
+        "reference_frame": {"x_m": 3.0, "y_m": -12.004, "heading_deg": 90.0, "right_share": 0.97}
+    }
+    (remark,) = remarks(figures)
+    assert remark.startswith("97% of the claims are right once the reference is turned by 90.0° and then")
+    assert "by 3.00 m, -12.00 m" in remark
+
+
 def test_a_lidar_that_is_mounted_otherwise_than_stated_is_noticed(drive: Drive, tmp_path: Path) -> None:
     """Its scans fit the map all the same: only odometry objects."""
 

@@ -10,6 +10,7 @@ import numpy as np
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOST
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.workbench.evaluation.consistency import consistency
+from eigenscan.workbench.evaluation.frames import other_frame
 from eigenscan.workbench.evaluation.kidnap import Outcome
 from eigenscan.workbench.evaluation.metrics import (
     Judged,
@@ -142,6 +143,7 @@ def windows_figures(judged: Sequence[Judged], rows: Sequence[Figures]) -> Figure
         "elsewhere_share_of_claims": (
             sum(int(j.elsewhere_claims.sum()) for j in judged) / claims if claims else None
         ),
+        "reference_frame": other_frame(judged),
         "right_claim_rate": rate([row["first_right_claim"] is not None for row in rows]),
         "to_localize": _all_reached(rows, "to_localize"),
         "first_right_claim": _all_reached(rows, "first_right_claim"),

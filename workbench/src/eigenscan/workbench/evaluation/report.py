@@ -55,6 +55,12 @@ def remarks(f: Figures) -> list[str]:
             "eigenscan import --mount, then evaluate the MCAP"
         )
     found += [_reported(f, words, row) for words, row in f.get("reported", {}).items()]
+    if frame := f.get("reference_frame"):  # no such figure in results of earlier releases
+        found.append(
+            f"{frame['right_share']:.0%} of the claims are right once the reference is turned by "
+            f"{frame['heading_deg']:.1f}° and then moved by {frame['x_m']:.2f} m, {frame['y_m']:.2f} m: "
+            "is it in another frame than the map? Transform it so, and evaluate again"
+        )
     explains = f["map_explains"]["median"]
     if explains is not None and explains < LITTLE:
         found.append(
