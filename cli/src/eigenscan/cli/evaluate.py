@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.former import optional, positional
+from eigenscan.cli.log_options import LidarTopics
 from eigenscan.cli.settings import Changes, Method, SettingsFile
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
@@ -83,10 +84,7 @@ def evaluate(
     jobs: Annotated[
         int, typer.Option(min=1, help="processes side by side; CPU figures are cleanest with one")
     ] = 1,
-    lidar: Annotated[
-        list[str] | None,
-        typer.Option("--lidar-topic", help="topic or lidar name to take; repeat for more; default: all"),
-    ] = None,
+    lidar: LidarTopics = None,
     odometry: Annotated[
         str | None, typer.Option("--odometry-topic", help="topic of the odometry", rich_help_panel="Details")
     ] = None,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
+from eigenscan.cli.log_options import LidarTopics, LogFile, OdometryTopic
 from eigenscan.cli.names import check_names
 from eigenscan.cli.paths import is_same
 from eigenscan.runtime.errors import UsageError
@@ -21,18 +22,12 @@ if TYPE_CHECKING:
 
 
 def import_log(
-    log: Annotated[
-        Path,
-        typer.Argument(metavar="LOG", help="CARMEN log, ROS 1 or 2 bag (folder or file), MCAP or CSV"),
-    ],
+    log: LogFile,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="MCAP to write; without it LOG's name with .mcap, here")
     ] = None,
-    lidar: Annotated[
-        list[str] | None,
-        typer.Option("--lidar-topic", help="topic or lidar name to take; repeat for more; default: all"),
-    ] = None,
-    odometry: Annotated[str | None, typer.Option("--odometry-topic", help="topic of the odometry")] = None,
+    lidar: LidarTopics = None,
+    odometry: OdometryTopic = None,
     base_frame: Annotated[str | None, typer.Option(help="the base frame; default: odometry's")] = None,
     mount: Annotated[
         list[str] | None,

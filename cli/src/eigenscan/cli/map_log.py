@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, print_rows, write_figures
+from eigenscan.cli.log_options import LidarTopics, LogFile, OdometryTopic
 from eigenscan.cli.paths import is_same
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT
@@ -21,10 +22,7 @@ if TYPE_CHECKING:
 
 
 def map_log(
-    log: Annotated[
-        Path,
-        typer.Argument(metavar="LOG", help="CARMEN log, ROS 1 or 2 bag (folder or file), MCAP or CSV"),
-    ],
+    log: LogFile,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="MAP.yaml to write; without it LOG's name, here")
     ] = None,
@@ -47,11 +45,8 @@ def map_log(
             help="of N evenly spread scans, without their order or poses",
         ),
     ] = None,
-    lidar: Annotated[
-        list[str] | None,
-        typer.Option("--lidar-topic", help="topic or lidar name to take; repeat for more; default: all"),
-    ] = None,
-    odometry: Annotated[str | None, typer.Option("--odometry-topic", help="topic of the odometry")] = None,
+    lidar: LidarTopics = None,
+    odometry: OdometryTopic = None,
     robot: Annotated[str, typer.Option(help="robot whose scans count, in a recording")] = DEFAULT_ROBOT,
     force: Annotated[bool, typer.Option("--force", help="replace files that are there")] = False,
     json_file: JsonFile = None,
