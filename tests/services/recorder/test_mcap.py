@@ -331,6 +331,19 @@ def test_a_clock_that_is_set_back_loses_no_message(tmp_path: Path) -> None:
         assert [record.log_time for record in found] == sorted(record.log_time for record in found)
 
 
+@pytest.mark.parametrize(("back", "count"), [(5_000, 0), (2 * S, 1)])
+def test_messages_that_came_at_once_are_no_clock_that_is_set_back(
+    tmp_path: Path, back: int, count: int
+) -> None:
+    """Each is stamped by the thread that receives it, before they wait in one row."""
+    sink = McapSink(tmp_path / "a.mcap", "s", lambda: 100 * S, 0.5, {})
+    address = {"site": "s", "robot": "r"}
+    for arrived in (100 * S, 100 * S - back):
+        sink.write(Envelope(POSE, address, PoseEstimate(timestamp=stamp(S)), arrived=arrived))
+    sink.close()
+    assert sink.counters.get("mcap_clock_set_back", 0) == count
+
+
 def test_a_deleted_file_is_reported_for_a_minute_also_where_the_clock_is_set_back(tmp_path: Path) -> None:
     clock = Clock()
     sink = McapSink(tmp_path / "a.mcap", "s", clock, 0.5, {})

@@ -1,6 +1,7 @@
 """The pipeline's own MCAP: a channel per key, protobuf schemas in the file, zstd chunks, indexed."""
 
 from eigenscan.runtime.recording.contents import (
+    STEP_NS,
     Contents,
     clock_set_back,
     closed_span,
@@ -18,6 +19,7 @@ __all__ = [
     "DAMAGE",
     "PROFILE",
     "REPAIRED",
+    "STEP_NS",
     "Contents",
     "Record",
     "RecordingError",
