@@ -196,9 +196,11 @@ class Bus:
         subscriber = self._subscribe(selector, intake, zenoh.handlers.RingChannel(MOST_PATIENT))
 
         def take() -> None:
-            with contextlib.suppress(zenoh.ZError):  # the subscriber is undeclared
+            try:
                 while (sample := subscriber.try_recv()) is not None:
                     intake.take_live(sample)
+            except zenoh.ZError:
+                return  # the subscriber is undeclared
 
         return take
 
@@ -246,7 +248,8 @@ class Bus:
                 stamp = self._session.new_timestamp()
                 self._latched[key] = (channel, payload, stamp)
             publisher = self._publishers.use(key, lambda: self._publisher(channel, key))
-            idle = [self._idle.pop() for _ in range(len(self._idle))]
+            idle = self._idle.copy()
+            self._idle.clear()
         if self._exchange is not None:
             self._exchange.hand(channel, key, envelope.message, payload, stamp)
         publisher.put(payload, timestamp=stamp)

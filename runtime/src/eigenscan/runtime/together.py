@@ -181,7 +181,7 @@ class Together:
             work.let_go_first = partial(self._work_off, works[:number])
         longest_s = min([CONDITION_PERIOD_S, *(node.inbox.batch_s for node in nodes if node.inbox.batch_s)])
         while not self._stop.stopping:
-            if not self._work(works):
+            if not self._work(works, keep_time=True):
                 for node in nodes:
                     node.inbox.sort()
                 with self._ready:
@@ -197,11 +197,12 @@ class Together:
         while self._work(works):
             pass
 
-    def _work(self, works: list[tuple[Node, Work]]) -> bool:
+    def _work(self, works: list[tuple[Node, Work]], *, keep_time: bool = False) -> bool:
         """Handles one message, of the service nearest to the pose that has one; False if none waits."""
         for node, work in works:
             try:
-                work.keep_time()
+                if keep_time:
+                    work.keep_time()
                 # what came without waking this thread is looked for when nothing else is left
                 if node.inbox.is_waiting and work.step():
                     return True

@@ -23,7 +23,7 @@ class RecentlyUsed(Generic[K, V]):
     def __init__(self, forget: Callable[[V], object] = lambda _: None) -> None:
         """`forget` is called with each value that goes."""
         self._kept: OrderedDict[K, tuple[int, V]] = OrderedDict()  # the longest unused first
-        self._uses = 0
+        self._uses = self._looks = 0
         self._among, self._forget = AMONG, forget
 
     def use(self, key: K, make: Callable[[], V]) -> V:
@@ -32,10 +32,12 @@ class RecentlyUsed(Generic[K, V]):
         known = self._kept.pop(key, None)
         value = make() if known is None else known[1]
         self._kept[key] = self._uses, value
-        longest, (used, unused) = next(iter(self._kept.items()))
-        if self._uses - used >= self._among:
-            del self._kept[longest]
-            self._forget(unused)
+        if self._uses >= self._looks:  # before, even what was longest unused then is not due
+            longest, (used, unused) = next(iter(self._kept.items()))
+            if self._uses - used >= self._among:
+                del self._kept[longest]
+                self._forget(unused)
+            self._looks = next(iter(self._kept.values()))[0] + self._among
         return value
 
     def get(self, key: K) -> V | None:

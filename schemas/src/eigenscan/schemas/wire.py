@@ -5,6 +5,8 @@ The encoding reads `application/protobuf;eigenscan.Scan/1`.
 
 from __future__ import annotations
 
+from functools import cache
+
 from eigenscan.schemas.channels import CONTRACT_VERSION, Channel, ContractError
 from google.protobuf.message import DecodeError, Message
 
@@ -13,6 +15,7 @@ UNDECLARED = {"", "zenoh/bytes", "application/octet-stream", MEDIA_TYPE}
 """Encodings that leave the schema open."""
 
 
+@cache
 def encoding(channel: Channel) -> str:
     """Encoding string for the channel's samples."""
     return f"{MEDIA_TYPE};{channel.schema_name}/{CONTRACT_VERSION}"
