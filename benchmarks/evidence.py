@@ -27,6 +27,10 @@ makes poor fits' covariances larger by that (services/tracker, observation.py). 
 
 And how likely the best is that scans of another building get on this map: a robot off the map gets the like.
 
+And of the lists that have the right place, one each half metre: how often their best place is the right one,
+by how many nats it is ahead of the next. Beside it how likely that is by the likelihoods, and by the tracker,
+which a clear lead makes surer.
+
 The datasets are not part of the project; by default they are looked for beside it.
 """
 
@@ -47,6 +51,7 @@ from eigenscan.geometry.gridmap import write_map
 from eigenscan.geometry.pose import between, compose
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.schemas.channels import SCAN_RAW
+from eigenscan.tracker import evidence
 from eigenscan.tracker.belief import MISSES
 from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on
 from eigenscan.tracker.covariance import mahalanobis_squared, residual
@@ -88,6 +93,7 @@ AWAY_M = 3.0
 """A place nearer than this is none that a robot was carried to."""
 LIKELIHOODS = np.array([-np.inf, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0, np.inf])
 AHEAD = np.array([-np.inf, -8.0, -5.0, -3.0, -1.0, 0.0, 1.0, 3.0, 5.0, np.inf])
+LEADS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, np.inf])
 NEAREST_M, NEAREST_RAD, CAPPED = 1.0, np.radians(25.0), 60.0
 """Of the true pose, and the squared error, beyond which a hypothesis is of another place."""
 
@@ -343,6 +349,42 @@ def squared_errors(windows: list[list[Answer]]) -> list[float | None]:
     return [float(np.mean(errors)) if len(errors) >= 10 else None for errors in found]
 
 
+def best_places(windows: list[list[Answer]]) -> list[dict[str, float]]:
+    """By LEADS, of lists that have the right place: how many there are, and in how many it is the best.
+
+    Beside that, in how many of them by the likelihoods alone, and by the tracker.
+    """
+    rows = list[tuple[float, bool, float, float]]()
+    for scans in windows:
+        for lidar in {scan.lidar for scan in scans}:
+            own = [scan for scan in scans if scan.lidar == lidar]
+            listed = (own[k] for k in at_each_step(own) if len(own[k].poses))
+            rows += [stated(scan) for scan in listed if scan.near(scan.truth).any()]
+    lead, *shares = np.array(rows, dtype=np.float64).reshape(-1, 4).T
+    cell_of = np.searchsorted(LEADS, lead, side="right") - 1
+    lists = np.bincount(cell_of, minlength=len(LEADS) - 1)
+    right, likelihoods, tracker = (
+        np.bincount(cell_of, share, len(lists)) / np.maximum(lists, 1) for share in shares
+    )
+    cells = zip(lists.tolist(), right.tolist(), likelihoods.tolist(), tracker.tolist(), strict=True)
+    return [
+        dict(zip(("lists", "right", "by_likelihoods", "by_tracker"), cell, strict=True)) for cell in cells
+    ]
+
+
+def stated(scan: Answer) -> tuple[float, bool, float, float]:
+    """A list's lead, nats; whether its best place is right; how likely by likelihoods, and by the tracker."""
+    left, found, best = scan.likelihoods.copy(), list[float](), int(np.argmax(scan.likelihoods))
+    while np.isfinite(left).any():
+        k = int(np.argmax(left))
+        found.append(left[k])
+        left[scan.near(scan.poses[k])] = -np.inf
+    lead, others = found[0] - max(found[1:], default=0.0), np.logaddexp.reduce([*found[1:], 0.0]) - found[0]
+    surer = min(evidence.SURER * max(lead - evidence.AHEAD, 0.0), MOST)
+    alone, tracker = (float(1.0 / (1.0 + np.exp(others - more))) for more in (0.0, surer))
+    return float(lead), bool(scan.near(scan.truth)[best]), alone, tracker
+
+
 def ratio(true: Counts, false: Counts) -> dict[str, Any]:
     """Ln of the ratio for a hypothesis of each likelihood and lead, NaN of too few, and for none."""
     half = 0.5  # of a track, so that an empty cell is not infinite
@@ -371,7 +413,7 @@ def judge(case: str, windows: list[list[Answer]]) -> dict[str, Any]:
         | {"stays_out": staying_out(windows)}
         | continuity(windows)
         | aliases(windows)
-        | {"squared_errors": squared_errors(windows)}
+        | {"squared_errors": squared_errors(windows), "best_places": best_places(windows)}
     )
 
 
@@ -399,6 +441,10 @@ def show(row: dict[str, Any]) -> None:
         print(f"   missed {row['ratio'][name]['missed']:+.1f}")
     quantiles = ", ".join(f"{each:.1f}" for each in np.percentile(row["strangers"], [10, 50, 90]))
     print(f"scans of another building, their best: 10, 50, 90 % are below {quantiles}")
+    print("best place ahead by   lists   right   by likelihoods   tracker")
+    for low, cell in zip(LEADS, row["best_places"], strict=False):
+        shares = cell["right"], cell["by_likelihoods"], cell["by_tracker"]
+        print(f"{low:>9g}.. {cell['lists']:>16}" + "{:>8.0%}{:>17.0%}{:>10.0%}".format(*shares))
     divisor = np.exp(poorness((LIKELIHOODS[:-1] + LIKELIHOODS[1:]) / 2.0))
     print("squared error, 3 were right; what the tracker divides it by")
     for low, error, less in zip(LIKELIHOODS[:-1], row["squared_errors"], divisor, strict=True):

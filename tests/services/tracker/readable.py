@@ -18,6 +18,7 @@ from eigenscan.tracker.covariance import (
     residual,
 )
 from eigenscan.tracker.evidence import (
+    AHEAD,
     ALIASES,
     ALIKE_M,
     BEHIND,
@@ -33,6 +34,7 @@ from eigenscan.tracker.evidence import (
     SLIP_RAD,
     SLIP_SHARE,
     SLIPS,
+    SURER,
     TAIL,
     TOGETHER,
 )
@@ -57,6 +59,7 @@ from scipy.special import expit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 
 
 def checked(
@@ -83,7 +86,7 @@ class Readable(Belief):
 
     def observe(self, seen: Observation, share: Share) -> None:
         frame = self.frame_index(seen.frame, seen.area)
-        source = self.source_index(seen.source)
+        source = self.source_index(seen.source, first=share.first)
         seen = seen.likelier_than_unlisted()
         rest = self.elsewhere
         shown = self.tracks.evidence.copy()
@@ -106,7 +109,8 @@ class Readable(Belief):
         density = rest.log_weight[frame] + np.log(findable / (rest.area[frame] * 2.0 * np.pi))
         alone = merit.alone + log_volume(seen.covariances) + density
         alone = np.logaddexp(alone, slipped(old, seen, merit, pairs, share.progress))
-        first = merit.at_first(pairs, old.observations)
+        unchosen = (old.observations <= 0) | share.first
+        first = merit.at_first(pairs, unchosen)
         grown = branch(old, seen, pairs, merit.of_pairs(pairs), first, source, share)
         begun = np.zeros((len(alone), len(self.sources)))
         begun[:, source] = merit.predicted
@@ -277,7 +281,8 @@ class Merit:
         # that a poor fit may be of more poses makes the place no likelier
         spread = 1.5 * poorness(seen.log_likelihoods)
         predicted = np.where(lead > 0.0, LEAD, BEHIND) * lead + together(seen)
-        return cls(seen.log_likelihoods + lead.clip(0.0, MOST) - spread, predicted.clip(-MOST, MOST))
+        surer = (SURER * (lead - AHEAD)).clip(0.0, MOST)
+        return cls(seen.log_likelihoods + surer - spread, predicted.clip(-MOST, MOST))
 
     def of_pairs(self, pairs: Pairs) -> Array:
         """What each pair (p,) of a track and a hypothesis in its gate is worth.
@@ -286,13 +291,13 @@ class Merit:
         """
         return np.minimum(self.predicted[pairs.hypothesis] - 0.5 * pairs.distance2, self._alone_of(pairs))
 
-    def at_first(self, pairs: Pairs, observations: Index) -> Array:
-        """What it is worth more (p,) to tracks (n,) without observations: those that a relocation began.
+    def at_first(self, pairs: Pairs, unchosen: Bools) -> Array:
+        """What it is worth more (p,) to tracks (n,) that no scan of this lidar chose.
 
-        No scan chose them, so the first one counts as it does for a place that begins a track.
+        The first one counts as it does for a place that begins a track.
         """
         more = (self._alone_of(pairs) - self.of_pairs(pairs)).clip(min=0.0)
-        return np.where(observations[pairs.track] > 0, 0.0, more)
+        return np.where(unchosen[pairs.track], more, 0.0)
 
     def _alone_of(self, pairs: Pairs) -> Array:
         result: Array = self.alone[pairs.hypothesis] + pairs.log_overlap

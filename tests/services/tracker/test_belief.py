@@ -13,7 +13,7 @@ from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate, Tracks
 from eigenscan.tracker.belief import MISSES, Belief, emerges
 from eigenscan.tracker.core import TrackerCore
-from eigenscan.tracker.evidence import EMERGES, SHOWN_YET_MISSED, SHOWS
+from eigenscan.tracker.evidence import EMERGES, HIDES, SHOWN_YET_MISSED, SHOWS
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.tracker.share import Share
@@ -497,6 +497,40 @@ def test_what_one_lidar_cannot_show_is_hidden_from_it_alone() -> None:
     front, rear = belief.tracks.hidden[np.argmax(belief.tracks.log_weight)]
     assert front < 0.01
     assert rear > 0.99
+
+
+PLACES = np.array([[2.0, 3.0, 0.0], [9.0, 7.0, 2.0]])
+
+
+def first_lists(*lists: tuple[str, list[float]]) -> Belief:
+    """What is believed after a lidar's first list, and another's: of each the likelihoods of PLACES."""
+    belief = Belief(TrackerSettings())
+    for lidar, found in lists:
+        spread = np.tile(np.diag([1e-3, 1e-3, 1e-4]), (len(found), 1, 1))
+        poses, likelihoods = PLACES[: len(found)], np.array(found)
+        seen = Observation(0, f"{lidar}/0", lidar, "map", poses, spread, likelihoods, 0.0, 400.0, True)
+        belief.observe(seen, Share(1.0, 0.0, 1.0, first=True))
+        settle(belief)
+    return belief
+
+
+@given(st.lists(st.floats(14.0, 22.0), min_size=4, max_size=4))
+def test_it_does_not_matter_which_lidar_was_first(found: list[float]) -> None:
+    front, rear = ("front", found[:2]), ("rear", found[2:])
+    odds = []
+    for lists in ((front, rear), (rear, front)):
+        tracks = first_lists(*lists).tracks
+        masses = [tracks.log_weight[np.hypot(*(tracks.x - at)[:, :2].T) < 0.5].max() for at in PLACES]
+        odds.append(masses[0] - masses[1])
+    assert odds[0] == pytest.approx(odds[1], abs=0.3)
+
+
+def test_what_one_lidar_shows_may_be_hidden_from_another_from_the_start() -> None:
+    belief = first_lists(("front", [18.0]), ("rear", []))
+    before = first_lists(("front", [18.0]))
+    lost = before.tracks.log_weight[0] - belief.tracks.log_weight[0]
+    lost += np.log(belief.none_probability / before.none_probability)
+    assert 0.0 < lost < -math.log(HIDES / (HIDES + SHOWS))
 
 
 @given(st.floats(0.02, 0.5), st.floats(0.02, 0.5))

@@ -148,16 +148,17 @@ def test_what_a_message_lists_is_checked_the_same(
     carried=st.floats(0.0, 0.5) | st.just(0.0),
     broken=st.booleans(),
     in_part=st.booleans(),
+    first=st.booleans(),
 )
 def test_a_list_does_the_same_to_a_belief(
     seed: int, tracks: int, hypotheses: int, sources: int, frames: int, weight: float, progress: float,
-    precision: float, carried: float, broken: bool, in_part: bool,
+    precision: float, carried: float, broken: bool, in_part: bool, first: bool,
 ) -> None:  # fmt: skip
     found = some_belief(np.random.default_rng(seed), Belief, tracks, sources, frames)
     expected = some_belief(np.random.default_rng(seed), Readable, tracks, sources, frames)
     before = deepcopy(found.tracks)
     seen = some_list(np.random.default_rng(seed + 1), hypotheses, sources - 1)
-    share = Share(weight, progress, precision, carried, broken, in_part)
+    share = Share(weight, progress, precision, carried, broken, in_part, first)
     given_tracks = found.tracks
     found.observe(seen, share)
     expected.observe(seen, share)

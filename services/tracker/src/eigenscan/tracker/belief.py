@@ -116,15 +116,16 @@ class Belief:
         self.normalise()
         return len(self.frames) - 1
 
-    def source_index(self, source: str) -> int:
-        """Column of a source's evidence."""
+    def source_index(self, source: str, *, first: bool = False) -> int:
+        """Column of a source's evidence. From another lidar's `first` list a right track may be hidden."""
         if source not in self.sources:
-            self.sources.append(source)
             none = np.zeros(len(self.tracks))
+            hidden = evidence.HIDES / (evidence.HIDES + evidence.SHOWS) if first and self.sources else 0.0
+            self.sources.append(source)
             self.tracks = replace(
                 self.tracks,
                 evidence=np.column_stack([self.tracks.evidence, none]),
-                hidden=np.column_stack([self.tracks.hidden, none]),
+                hidden=np.column_stack([self.tracks.hidden, none + hidden]),
             )
             searched = self.elsewhere.searched
             self.elsewhere.searched = np.column_stack([searched, np.zeros(len(searched))])
@@ -156,11 +157,11 @@ class Belief:
         Hypotheses that are no likelier than an unlisted pose add nothing and are left out.
         """
         frame = self.frame_index(seen.frame, seen.area)
-        source = self.source_index(seen.source)
+        source = self.source_index(seen.source, first=share.first)
         made = observed(
             arrays_of(self.tracks), *self.elsewhere.parts(), seen.poses, seen.covariances,
             seen.log_likelihoods, seen.unlisted, frame, source, seen.stamp, self.gate, share.weight,
-            share.progress, share.precision, share.carried, share.broken, share.in_part,
+            share.progress, share.precision, share.carried, share.broken, share.in_part, share.first,
             _constants(self.off_map_share, missed(seen)),
         )  # fmt: skip
         self.tracks = tracks_of(made)
@@ -221,4 +222,6 @@ def _constants(off_map_share: float, missed: float) -> Constants:
         CARRIED_SHARE,
         evidence.ALIKE_M,
         evidence.TOGETHER,
+        evidence.AHEAD,
+        evidence.SURER,
     )

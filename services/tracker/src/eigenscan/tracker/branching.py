@@ -105,7 +105,8 @@ def _fit(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -> 
     """What each branch (n + p,) fits, in nats; and what that is worth more to a track without observations.
 
     For a vague track, the hypothesis' own likelihood spread over all the track's room is less. A track that a
-    relocation began no scan chose, so the first one counts as it does for a place that begins a track.
+    relocation began no scan chose, so the first one counts as it does for a place that begins a track. So
+    does a lidar's first list for tracks of others: it must not matter which lidar came first.
     """
     count = len(old.x)
     fit, first = np.empty(count + len(pairs.track)), np.zeros(count + len(pairs.track))
@@ -117,7 +118,7 @@ def _fit(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -> 
         k, row = pairs.hypothesis[pair], count + pair
         alone = seen.alone[k] + pairs.log_overlap[pair]
         fit[row] = min(seen.predicted[k] - 0.5 * pairs.distance2[pair], alone)
-        if old.observations[pairs.track[pair]] <= 0:
+        if scan.first or old.observations[pairs.track[pair]] <= 0:
             first[row] = alone - fit[row]
     return fit, first
 

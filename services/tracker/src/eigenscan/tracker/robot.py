@@ -385,7 +385,7 @@ class RobotTracker:
         before, alike = source.poses, source.surfaces == seen.surfaces
         source.poses, source.surfaces = seen.poses, seen.surfaces
         if source.scans == 1:
-            return Share(1.0 / peers, 0.0, 1.0 / peers, in_part=peers > 1)
+            return Share(1.0 / peers, 0.0, 1.0 / peers, in_part=peers > 1, first=peers == 1)
         moved = self._motion(source.last, seen.stamp)
         last, fixed, source.fixed = source.last, source.fixed, max(source.fixed, seen.stamp)
         seconds = max(moved.seconds, 1e-3)

@@ -14,7 +14,7 @@ class Share:
     covariance's information is independent of earlier scans. `carried`: probability that the robot was
     carried away since the source's last scan. `broken`: nothing of the source's last list goes on in this
     one. `in_part`: other projectors answer for the same lidar, so that this one may have searched a part of
-    the site.
+    the site. `first`: no list of this lidar was before it.
     """
 
     weight: float
@@ -23,3 +23,4 @@ class Share:
     carried: float = 0.0
     broken: bool = False
     in_part: bool = False
+    first: bool = False

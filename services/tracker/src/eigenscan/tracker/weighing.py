@@ -151,7 +151,7 @@ def _search(rest: Rest, frame: int, scan: Scan, c: Constants) -> None:
 @njit(  # pragma: no cover - compiled
     MADE(
         GIVEN, *_REST, ROWS, MATRICES, WEIGHTS, _NUMBER, _COUNT, _COUNT, _COUNT, _NUMBER, _NUMBER, _NUMBER,
-        _NUMBER, _NUMBER, types.boolean, types.boolean,
+        _NUMBER, _NUMBER, types.boolean, types.boolean, types.boolean,
         types.NamedUniTuple(_NUMBER, len(Constants._fields), Constants),
     ),
     cache=True,
@@ -161,11 +161,11 @@ def observed(
     arrays: Arrays, rest_log_weight: Array, rest_area: Array, rest_searched: Array, poses: Array,
     covariances: Array, log_likelihoods: Array, unlisted: float, frame: int, source: int, stamp: int,
     gate: float, weight: float, progress: float, precision: float, carried: float,
-    broken: bool, in_part: bool, c: Constants,
+    broken: bool, in_part: bool, first: bool, c: Constants,
 ) -> Columns:  # fmt: skip
     """The tracks after a list, and what no track holds in place; `Belief.observe` in one call."""
     rest = Rest(rest_log_weight, rest_area, rest_searched)
-    scan = Scan(weight, progress, precision, carried, broken, in_part, source, stamp)
+    scan = Scan(weight, progress, precision, carried, broken, in_part, first, source, stamp)
     tracks = taken(Columns(*arrays), np.arange(len(arrays[0])))
     _move_on(tracks, rest, scan, c)
     old = taken(tracks, np.flatnonzero(tracks.frame == frame))
