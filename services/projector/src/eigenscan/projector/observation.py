@@ -44,6 +44,12 @@ class Observation:
         return int(np.count_nonzero(self.used))
 
     @cached_property
+    def measured(self) -> int:
+        """How many measurements these are: with beams farther apart than the grid's, several are of one."""
+        back = (self.ranges >= NEAREST) & (self.ranges < FARTHEST)
+        return min(self.returned, int(np.count_nonzero(back)))
+
+    @cached_property
     def few(self) -> NDArray[np.int64]:
         """Indices (k,) of at most WEIGHED_BEAMS of the used beams, evenly spread."""
         used = np.flatnonzero(self.used)

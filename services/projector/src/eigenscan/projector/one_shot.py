@@ -112,7 +112,7 @@ def answer(query: LocalizeQuery, site: Site, settings: ProjectorSettings) -> Loc
         asked_area_m2=allowed.area(site),
         none_probability=1.0,
     )
-    if seen.returned < settings.least_beams:
+    if seen.measured < settings.least_beams:
         reply.status = Hypotheses.STATUS_UNUSABLE_SCAN
         return reply
     found = _search(site, seen, settings, allowed)
