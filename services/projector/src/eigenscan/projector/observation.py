@@ -89,7 +89,7 @@ def observe(scan: Scan) -> Observation:
     """Observation of a canonical scan. Raises ValueError for an invalid angular grid."""
     beams = len(scan.ranges)
     step = scan.angle_increment
-    if not beams or not (0.0 < step < np.pi and np.isfinite(scan.angle_min)):
+    if not beams or not (0.0 < step <= np.pi and np.isfinite(scan.angle_min)):
         raise ValueError(f"{beams} beams from {scan.angle_min} rad in steps of {step} rad")
     if not 0.0 <= scan.range_max < np.inf:
         raise ValueError(f"range_max = {scan.range_max} m")
