@@ -70,6 +70,25 @@ def test_a_line_a_beam_stands_where_it_looked(
     assert np.isnan(seen).sum() == 1
 
 
+@pytest.mark.parametrize(
+    ("count", "first"), [(400, -179.55), (360, 0.5), (720, 0.25), (360, 0.0), (400, 0.449)]
+)
+@pytest.mark.parametrize("name", ["angle_deg", "angle_cw_deg"])
+def test_even_beams_are_all_kept_wherever_the_first_one_looks(
+    tmp_path: Path, count: int, first: float, name: str
+) -> None:
+    angles = [round((first + j * 360.0 / count) % 360.0, 2) for j in range(count)]
+    lines = [f"time_s,{name},range_m"]
+    lines += [f"{second},{angle},{1 + angle / 100}" for second in (1, 2) for angle in angles]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    for scan in _scans(tmp_path / "a.csv"):
+        assert len(scan.ranges) == count
+        directions = np.degrees(scan.angle_min + scan.angle_increment * np.arange(count))
+        looked = (directions if name == "angle_deg" else -directions) % 360.0
+        off = (1 + looked / 100 - np.asarray(scan.ranges) + 1.8) % 3.6 - 1.8
+        assert np.abs(off).max() < 1e-4  # of 0.01 degrees
+
+
 def test_a_first_scan_of_few_beams_does_not_thin_out_the_next_ones(tmp_path: Path) -> None:
     """All scans of the log had as few."""
     lines = ["time_s,angle_deg,range_m"]
