@@ -221,6 +221,10 @@ WIDE = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"
         (WIDE + "1,0,1,4,5\n2,0,1,4,far\n", "line 3, column range_m_1: 'far'"),
         (WIDE + "1,0,,4,5\n", "line 2, column angle_increment_deg: is empty"),
         (WIDE + "nan,0,1,4,5\n", "line 2, column time_s: 'nan'"),
+        (
+            WIDE.replace("time_s", "time_s,lidar") + "1,a,0,1,4,5\n1,front/scan x,0,1,4,5\n",
+            "line 3, column lidar: 'front/scan x': rename it",
+        ),
         (WIDE + "-5,0,1,4,5\n", "line 2, column time_s: -5 s is no time"),
         (WIDE + "1,0,0,4,5\n2,0,0,4,5\n", "column angle_increment_deg: is 0 in all lines"),
         (WIDE.replace("time", "Time") + "1,0,1,4,5\n", "line 1: has the column Time_s: rename it to time_s"),

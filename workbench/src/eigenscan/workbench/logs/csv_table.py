@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from eigenscan.schemas.channels import is_chunk
 from eigenscan.schemas.envelope import LATEST_S, Envelope
 from eigenscan.workbench.logs.log import (
     RECORDER_LAG_NS,
@@ -299,7 +300,12 @@ class CsvLog:
 
 
 def _lidar(line: _Line) -> str:
-    return line.text(LIDAR, DEFAULT_LIDAR)
+    """Raises LogError for a name that no lidar can have."""
+    name = line.text(LIDAR, DEFAULT_LIDAR)
+    if not is_chunk(name):
+        fix = "rename it, without blanks or / * $ # ? @"
+        raise LogError(f"{line.columns.path}: line {line.number}, column {LIDAR}: {name!r:.80}: {fix}")
+    return name
 
 
 def _row(line: _Line) -> tuple[float, float, NDArray[np.float64]]:
