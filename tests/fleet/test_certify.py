@@ -103,7 +103,7 @@ def test_a_robot_more_changes_the_routers_rules_and_the_operators_list(folder: P
         (("certify", "--robot", "a/b"), ("a/b", "chunk")),
         (("certify", "--robot", "recorder"), ("recorder", "service of the site")),
         (("certify", "--robot", "site"), ("site", "service of the site")),
-        (("certify", "--robot", "r" * 80), ("too long", "shorten")),
+        (("certify", "--robot", "r18", "--robot", "r" * 50), ("r" * 50, "too long", "shorten")),
         (("revoke", "r99"), ("r99", "r17")),
     ],
 )
@@ -129,6 +129,8 @@ def test_what_it_refuses_in_one_line_and_leaves_as_it_was(
             ("certify", "--site", "s", "--address", "h:7447"),
             "or an IP address, without a port\n",
         ),
+        (("certify", "--site", "s" * 60, "--address", "h"), "too long"),
+        (("certify", "--site", "s", "--address", "h", "--robot", "r1", "--robot", "r" * 50), "too long"),
         (("configure",), "fleet certify"),
         (("revoke", "r17"), "fleet certify"),
     ],
@@ -270,6 +272,19 @@ def test_the_settings_it_writes_are_those_of_the_services_and_stay_their_owners(
     robot.write_text(robot.read_text() + "\n# ours\n")
     assert run("configure", "-o", folder).exit_code == 0
     assert robot.read_text().endswith("# ours\n")
+
+
+def test_a_new_certificate_keeps_the_settings_that_the_robots_owner_edited(folder: Path) -> None:
+    own = folder / "robots/r17"
+    files = sorted(path.name for path in own.iterdir())
+    settings = own / "eigenscan.toml"
+    settings.write_text(f"{settings.read_text()}\n# ours\n")
+    assert run("revoke", "r17", "-o", folder).exit_code == 0
+    assert [path.name for path in own.iterdir()] == ["eigenscan.toml"]
+    assert layout.robots(folder) == ()
+    assert run("certify", "--robot", "r17", "-o", folder).exit_code == 0
+    assert sorted(path.name for path in own.iterdir()) == files
+    assert settings.read_text().endswith("# ours\n")
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from typing import Annotated, Any
 
 from eigenscan.fleet import access, configuration
 from eigenscan.fleet.access import Air
-from eigenscan.fleet.authority import common_name, is_for, write_whole
+from eigenscan.fleet.authority import LONGEST_NAME, common_name, is_for, write_whole
 from eigenscan.fleet.configuration import INSTALLED
 from eigenscan.runtime.errors import FailedError, UsageError, one_line
 from eigenscan.runtime.settings import explained, parse_toml
@@ -87,6 +87,17 @@ def _chunk(name: str) -> str:
     return name
 
 
+def _within(most: int) -> AfterValidator:
+    """Of names of at most so many bytes, for a certificate's common name."""
+
+    def check(name: str) -> str:
+        if len(name.encode()) > most:
+            raise ValueError(f"is too long for a certificate: shorten it to {most} bytes")
+        return name
+
+    return AfterValidator(check)
+
+
 def _robot(name: str) -> str:
     # "site": the instance of the site's own services, for whose keys such a robot would have rights
     if {".", ","} & {*_chunk(name)} or name in {"site", *(role.value for role in Role)}:
@@ -112,8 +123,8 @@ def _host(name: str) -> str:
 
 Hertz = Annotated[float, Field(ge=0.0, le=1000.0, strict=True)]  # strict: true is no number
 Rates = dict[Annotated[str, AfterValidator(_channel)], Hertz]
-RobotName = Annotated[str, AfterValidator(_robot)]
-GroupName = Annotated[str, AfterValidator(_robot), AfterValidator(_chunk)]
+HolderName = Annotated[str, AfterValidator(_robot), _within(LONGEST_NAME - len("robot..01234567"))]
+"""Of a robot or a group; behind it a common name has a random part."""
 
 
 class Fleet(BaseModel):
@@ -121,12 +132,12 @@ class Fleet(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    site: Annotated[str, AfterValidator(_chunk)]
+    site: Annotated[str, AfterValidator(_chunk), _within(LONGEST_NAME - len(" fleet"))]
     addresses: Annotated[tuple[Annotated[str, AfterValidator(_host)], ...], Field(min_length=1)]
     hold_back_floods: bool = True
-    groups: dict[GroupName, Annotated[str, AfterValidator(_group)]] = {}
+    groups: dict[HolderName, Annotated[str, AfterValidator(_group)]] = {}
     air: Rates = {}
-    robots: dict[RobotName, Rates] = {}
+    robots: dict[HolderName, Rates] = {}
 
     def air_of(self, robot: str) -> Air:
         """Samples a second of each channel that this robot may send over the air."""
@@ -346,9 +357,22 @@ def revoke(folder: Path, name: str) -> Path:
         if name in of_service:
             held.with_suffix(".json5").unlink(missing_ok=True)
         else:
-            shutil.rmtree(held.parent)
+            _clear(held.parent, configuration.settings(read(folder).site, name))
         _configure(folder)
     return kept
+
+
+def _clear(own: Path, begun: str) -> None:
+    """Deletes a robot's folder, but keeps the settings that its owner edited: not those `begun`."""
+    settings = own / "eigenscan.toml"
+    if not settings.exists() or settings.read_text(encoding="utf-8") == begun:
+        shutil.rmtree(own)
+        return
+    for path in own.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path != settings:
+            path.unlink()
 
 
 @contextmanager
