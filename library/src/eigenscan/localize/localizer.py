@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Collection
 from dataclasses import replace
-from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,7 @@ from eigenscan.geometry.gridmap import GridMap, MapError, check_grid, to_message
 from eigenscan.geometry.plans import PlanOptions, read_plan
 from eigenscan.geometry.pose import to_message as pose_message
 from eigenscan.localize.answers import Estimate, Hypotheses
-from eigenscan.localize.scan import Scan
+from eigenscan.localize.scan import Scan, is_number
 from eigenscan.localize.session import Session
 from eigenscan.mapbuilder.core import announce_models
 from eigenscan.mapbuilder.settings import MapbuilderSettings
@@ -195,7 +194,7 @@ def _be_a_scan(scan: Scan) -> None:
 
 def _be_a_number(given: object, name: str, unit: str) -> None:
     """Raises TypeError that names the argument."""
-    if not isinstance(given, Real):
+    if not is_number(given):
         raise TypeError(f"{name} = {given!r:.80}: give a number, {unit}")
 
 
@@ -209,8 +208,8 @@ def _pose(given: ArrayLike, name: str) -> NDArray[np.float64]:
     """Checks a pose (3,). Raises ValueError."""
     try:
         pose = np.asarray(given, np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} = {given!r}: give x, y and heading (3,), m, m, rad") from None
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} = {given!r:.80}: give x, y and heading (3,), m, m, rad") from None
     if pose.shape != (3,):
         raise ValueError(f"{name} of shape {pose.shape}: give x, y and heading (3,), m, m, rad")
     if not np.isfinite(pose).all():

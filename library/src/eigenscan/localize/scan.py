@@ -59,10 +59,10 @@ class Scan:
             raise ScanError(f"mount = {self.mount!r}: give x, y and heading in the robot's frame, m, m, rad")
         for name, unit in _UNITS.items():
             value = getattr(self, name)
-            if not isinstance(value, Real) or (unit.startswith("finite") and not math.isfinite(value)):
-                raise ScanError(f"{name} = {value!r}: give a number, {unit}")
-        if not all(isinstance(value, Real) for value in np.asarray(self.mount).tolist()):
-            raise ScanError(f"mount = {self.mount!r}: give numbers, m, m, rad")
+            if not is_number(value) or (unit.startswith("finite") and not math.isfinite(value)):
+                raise ScanError(f"{name} = {value!r:.80}: give a number, {unit}")
+        if not all(map(is_number, np.asarray(self.mount).tolist())):
+            raise ScanError(f"mount = {self.mount!r:.80}: give numbers, m, m, rad")
         if not (isinstance(self.lidar, str) and is_chunk(self.lidar)):
             raise ScanError(f"lidar = {self.lidar!r:.80}: give its name, a str without blanks or / * $ # ? @")
         if abs(self.time) > LATEST_S:
@@ -96,7 +96,7 @@ class Scan:
                 raise TypeError(f"{given.dtype}")
             with np.errstate(over="ignore"):  # what is too large is no return
                 ranges = np.ma.filled(given.astype(np.float32), np.nan)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ScanError(f"ranges are no numbers in m: {error}") from None
         if ranges.ndim != 1:
             hint = ", such as ranges[0]" if ranges.ndim == 2 else ""
@@ -143,6 +143,17 @@ class Scan:
     def canonical(self) -> Envelope:
         """The scan as scan-ingest publishes it if it is the first. Raises ScanError if it cannot be used."""
         return taken(ScanIngestCore(ScanIngestSettings()), self)[-1]
+
+
+def is_number(value: object) -> bool:
+    """Whether it is a number that a float holds: one of Python's own may be too large."""
+    if not isinstance(value, Real):
+        return False
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
 
 
 def taken(ingest: ScanIngestCore, scan: Scan) -> list[Envelope]:
