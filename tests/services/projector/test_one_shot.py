@@ -208,7 +208,9 @@ def _change(**fields: object) -> Callable[[LocalizeQuery], None]:
     [
         (lambda query: query.ClearField("scan"), "scan.ranges: no beams"),
         (_change(ranges=[math.nan] * 181), "scan.ranges: none lies between range_min and"),
-        (_change(ranges=[1.0] * 20_001), "scan.ranges: more than 20000"),
+        (_change(ranges=[1.0] * 16_385), "scan.ranges: more than 16384"),
+        (_change(ranges=np.linspace(500.0, 9000.0, 181)), "scan.ranges: must be metres"),
+        (_change(ranges=[0.3] * 181), "scan.ranges: all have one value: is the lidar covered?"),
         (_change(angle_min=math.nan), "scan.angle_min"),
         (_change(angle_increment=0.0), "scan.angle_increment: must not be 0"),
         (_change(angle_increment=1.0), "scan.angle_increment: the beams cover over one turn"),

@@ -41,6 +41,8 @@ FAULTS = {
     "angle_increment_zero": "angle_increment: must not be 0; rad",
     "over_a_turn": "angle_increment: the beams cover over one turn, or are over half a turn apart; rad",
     "limits_inconsistent": "range_min, range_max: contradict each other; m",
+    "one_value": "ranges: all have one value: is the lidar covered?",
+    "not_in_metres": "ranges: must be metres",
     "mount_too_far": f"mount: not finite, or over {FARTHEST_MOUNT:.0f} m from the base",
 }
 """What the reason of a ScanError means, with the field, for whoever can mend it."""
