@@ -142,7 +142,7 @@ class Projector:
             frame_id=announced.frame_id,
             model_version=announced.version,
             searched_area_m2=announced.free_area_m2,
-            used_beams=int(returned * min(1.0, scan.angle_increment * MOST_BEAMS / (2.0 * np.pi))),
+            used_beams=min(int(returned * scan.angle_increment * MOST_BEAMS / (2.0 * np.pi)), MOST_BEAMS),
             status=Hypotheses.STATUS_UNUSABLE_SCAN,
         )
         with np.errstate(invalid="ignore"):

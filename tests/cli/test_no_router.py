@@ -10,11 +10,13 @@ from eigenscan.fleet import view
 from tests.command import eigenscan
 from tests.network import free_port
 
+PATIENT = {"timeout_ms": -1, "exit_on_failure": False}
 
-@pytest.fixture
-def config(tmp_path: Path) -> Path:
-    """A service's: it waits for its router without end."""
-    connect = {"endpoints": [f"tcp/127.0.0.1:{free_port()}"], "timeout_ms": -1, "exit_on_failure": False}
+
+@pytest.fixture(params=[PATIENT, {}], ids=["waits without end", "does not wait"])
+def config(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """A service's, and that of the contract's example."""
+    connect = {"endpoints": [f"tcp/127.0.0.1:{free_port()}"], **request.param}
     alone = {"multicast": {"enabled": False}}
     path = tmp_path / "client.json5"
     path.write_text(json.dumps({"mode": "client", "connect": connect, "scouting": alone}))
@@ -35,6 +37,19 @@ def test_a_person_does_not_wait_for_a_router_without_end(
     assert result.returncode == 1, result.stderr
     assert "nobody answers" in result.stderr
     assert str(config) in result.stderr
+
+
+def test_the_doctor_finds_that_nobody_answers(
+    tmp_path: Path, config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ended with exit code 2, and no figures, where the configuration does not wait."""
+    monkeypatch.setattr(view, "OPEN_S", 0.2)
+    done = eigenscan("doctor", "--zenoh", config, "--json", tmp_path / "found.json")
+    assert done.returncode == 1, done.stderr
+    found = json.loads((tmp_path / "found.json").read_text())
+    (finding,) = (each for each in found if each["where"] == "router")
+    assert finding["what"].startswith("nobody answers")
+    assert f"correct connect.endpoints in {config}" in finding["mend"]
 
 
 @pytest.mark.parametrize(

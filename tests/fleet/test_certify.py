@@ -119,7 +119,7 @@ def test_a_robot_more_changes_the_routers_rules_and_the_operators_list(folder: P
         (("certify", "--robot", "a/b"), ("a/b", "chunk")),
         (("certify", "--robot", "recorder"), ("recorder", "service of the site")),
         (("certify", "--robot", "site"), ("site", "service of the site")),
-        (("certify", "--robot", "r" * 80), ("too long", "shorten")),
+        (("certify", "--robot", "r18", "--robot", "r" * 50), ("r" * 50, "too long", "shorten")),
         (("revoke", "r99"), ("r99", "r17")),
     ],
 )
@@ -145,6 +145,8 @@ def test_what_it_refuses_in_one_line_and_leaves_as_it_was(
             ("certify", "--site", "s", "--address", "h:7447"),
             "or an IP address, without a port\n",
         ),
+        (("certify", "--site", "s" * 60, "--address", "h"), "too long"),
+        (("certify", "--site", "s", "--address", "h", "--robot", "r1", "--robot", "r" * 50), "too long"),
         (("configure",), "fleet certify"),
         (("revoke", "r17"), "fleet certify"),
     ],
@@ -185,6 +187,66 @@ def test_a_fault_in_fleet_toml_is_named(folder: Path, text: str, parts: tuple[st
     assert content(folder) == before
 
 
+COMMANDS = ("configure",), ("certify", "--robot", "r18")
+
+
+def test_an_address_that_the_routers_certificate_lacks_is_named_with_its_fix(folder: Path) -> None:
+    """The routers' configuration had it, and every robot refused the site's router."""
+    settings, router = folder / "fleet.toml", folder / "site/router.crt"
+    settings.write_text(settings.read_text().replace("10.0.0.5", "10.0.0.6"))
+    before = content(folder)
+    for command in COMMANDS:
+        done = run(*command, "-o", folder)
+        assert done.exit_code == 2, done.stderr
+        words = f"addresses: robots refuse 10.0.0.6, for which {router} is not: delete it and router.key, "
+        assert f"{words}then run: eigenscan fleet certify -o {folder}" in done.stderr
+    assert content(folder) == before
+    router.unlink()
+    router.with_suffix(".key").unlink()
+    assert run("certify", "-o", folder).exit_code == 0
+    assert "tls/10.0.0.6:" in (folder / "robots/r17/router.json5").read_text()
+    assert run("configure", "-o", folder).exit_code == 0
+
+
+def test_settings_of_a_former_site_are_named(folder: Path) -> None:
+    """The routers denied all keys of services that kept the former name."""
+    settings = folder / "fleet.toml"
+    settings.write_text(settings.read_text().replace("hospital", "clinic", 1))
+    before = content(folder)
+    for command in COMMANDS:
+        done = run(*command, "-o", folder)
+        assert done.exit_code == 2, done.stderr
+        assert f"robots/r17/eigenscan.toml: site = 'hospital', and {settings} has 'clinic'" in done.stderr
+    assert content(folder) == before
+    for path in folder.rglob("eigenscan.toml"):
+        path.write_text(path.read_text().replace("hospital", "clinic"))
+    assert run("configure", "-o", folder).exit_code == 0
+
+
+def test_settings_that_are_no_toml_are_named(folder: Path) -> None:
+    (folder / "site/eigenscan.toml").write_text("[half")
+    done = run("configure", "-o", folder)
+    assert done.exit_code == 2
+    assert f"{folder / 'site/eigenscan.toml'}: is not TOML" in done.stderr
+
+
+def test_a_group_without_a_certificate_is_named_and_no_robot_sends_it_scans(folder: Path) -> None:
+    before = content(folder)
+    settings = folder / "fleet.toml"
+    settings.write_text(settings.read_text().replace("[groups]", '[groups]\nlab = "r17"'))
+    done = run("configure", "-o", folder)
+    assert done.exit_code == 2, done.stderr
+    words = f"groups.lab: has no certificate: run: eigenscan fleet certify -o {folder}"
+    assert words in done.stderr
+    assert run("certify", "--robot", "r18", "-o", folder).exit_code == 0
+    with_group = (folder / "robots/r17/router.json5").read_bytes()
+    assert with_group != before[folder / "robots/r17/router.json5"]
+    # to shut a robot out asks for no certificate
+    settings.write_text(settings.read_text().replace('lab = "r17"', 'lib = "r17"'))
+    assert run("revoke", "r18", "-o", folder).exit_code == 0
+    assert content(folder)[folder / "robots/r17/router.json5"] == before[folder / "robots/r17/router.json5"]
+
+
 def test_a_certificate_that_is_gone_is_made_again(folder: Path) -> None:
     for path in (folder / "site").glob("recorder.*"):
         path.unlink()
@@ -223,9 +285,22 @@ def test_the_settings_it_writes_are_those_of_the_services_and_stay_their_owners(
     )
     assert load(RecorderOptions, "recorder", ["--config", str(site)]).robot == "*"
     assert load(MapbuilderOptions, "mapbuilder", ["--config", str(site)]).instance == "site"
-    robot.write_text(robot.read_text() + "\n[tracker]\n")
+    robot.write_text(robot.read_text() + "\n# ours\n")
     assert run("configure", "-o", folder).exit_code == 0
-    assert robot.read_text().endswith("[tracker]\n")
+    assert robot.read_text().endswith("# ours\n")
+
+
+def test_a_new_certificate_keeps_the_settings_that_the_robots_owner_edited(folder: Path) -> None:
+    own = folder / "robots/r17"
+    files = sorted(path.name for path in own.iterdir())
+    settings = own / "eigenscan.toml"
+    settings.write_text(f"{settings.read_text()}\n# ours\n")
+    assert run("revoke", "r17", "-o", folder).exit_code == 0
+    assert [path.name for path in own.iterdir()] == ["eigenscan.toml"]
+    assert layout.robots(folder) == ()
+    assert run("certify", "--robot", "r17", "-o", folder).exit_code == 0
+    assert sorted(path.name for path in own.iterdir()) == files
+    assert settings.read_text().endswith("# ours\n")
 
 
 @contextmanager

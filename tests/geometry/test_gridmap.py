@@ -103,6 +103,19 @@ def test_a_bad_field_is_named_with_its_file(tmp_path: Path, meta: dict[str, Any]
     assert str(path) in str(error.value)
 
 
+@pytest.mark.parametrize(("written", "mode"), [("Trinary", "trinary"), ("RAW", "raw")])
+def test_a_mode_may_have_capitals(tmp_path: Path, written: str, mode: str) -> None:
+    """As in Nav2."""
+    expected = read_map(saved(tmp_path, PIXELS, mode=mode)).cells.tolist()
+    assert read_map(saved(tmp_path, PIXELS, mode=written)).cells.tolist() == expected
+
+
+def test_a_comment_may_be_in_another_encoding(tmp_path: Path) -> None:
+    path = saved(tmp_path, PIXELS)
+    path.write_bytes("# Gebäude 3, Flur\n".encode("latin-1") + path.read_bytes())
+    assert read_map(path).cells[0, 0] == FREE
+
+
 def test_a_mistake_in_the_yaml_is_named_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "map.yaml"
     path.write_text("image: map.pgm\norigin: [0, 0\nresolution: 0.05\n")

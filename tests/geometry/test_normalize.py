@@ -46,7 +46,7 @@ def seen_from_above(raw: Sweep, upside_down: bool) -> set[tuple[float, float]]:
 def test_orient_keeps_every_endpoint_and_runs_counter_clockwise(
     ranges: list[float], first: float, span: float, clockwise: bool, upside_down: bool
 ) -> None:
-    step = span / (len(ranges) - 1) * (-1 if clockwise else 1)
+    step = min(span / (len(ranges) - 1), math.pi) * (-1 if clockwise else 1)
     raw = sweep(ranges, first, step)
     got = orient(raw, upside_down)
     assert got.angle_increment > 0
@@ -63,6 +63,8 @@ def test_orient_keeps_every_endpoint_and_runs_counter_clockwise(
         (0.0, 0.0, 5, "angle_increment_zero"),
         (-90.0, 1.0, 181, "over_a_turn"),  # degrees
         (0.0, -1.0, 9, "over_a_turn"),
+        (0.0, 3.15, 1, "over_a_turn"),
+        (0.0, -3.15, 3, "over_a_turn"),
     ],
 )
 def test_angles_that_make_no_sense_are_refused(first: float, step: float, count: int, reason: str) -> None:
@@ -73,6 +75,11 @@ def test_angles_that_make_no_sense_are_refused(first: float, step: float, count:
 
 def test_a_full_turn_with_both_ends_is_no_error() -> None:
     assert len(orient(sweep([1.0] * 361, -math.pi, math.radians(1.0)), False).ranges) == 361
+
+
+@pytest.mark.parametrize("beams", [1, 2, 3])
+def test_beams_half_a_turn_apart_make_sense(beams: int) -> None:
+    assert len(orient(sweep([1.0] * beams, 0.0, -math.pi), False).ranges) == beams
 
 
 def test_limits_distinguish_missing_from_no_return() -> None:

@@ -15,17 +15,30 @@ import numpy as np
 import pytest
 import yaml
 from eigenscan.geometry.circle import wrap
-from eigenscan.geometry.gridmap import OCCUPIED, GridMap, MapError, write_map
-from eigenscan.geometry.pose import compose, inverse
+from eigenscan.geometry.gridmap import OCCUPIED, GridMap, MapError, to_message, write_map
+from eigenscan.geometry.pose import compose, inverse, to_pose3
+from eigenscan.ingest.core import ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.localize import Estimate, Localizer, Scan, ScanError, read_log
+from eigenscan.mapbuilder.core import announce_models
+from eigenscan.projector.core import ProjectorCore
+from eigenscan.projector.settings import ProjectorSettings
+from eigenscan.runtime.loopback import Loopback
 from eigenscan.runtime.recording import RecordingWriter
-from eigenscan.schemas.channels import SCAN_RAW
-from eigenscan.workbench.simulation.lidar import Lidar
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, MAP, ODOMETRY, POSE, SCAN_RAW
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.tracking_pb2 import PoseEstimate
+from eigenscan.tracker.core import TrackerCore
+from eigenscan.tracker.settings import TrackerSettings
+from eigenscan.workbench.simulation.lidar import LIDARS, Lidar
 from eigenscan.workbench.simulation.stage import Scenario, Stage
 from eigenscan.workbench.simulation.world import office
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import NDArray
 from PIL import Image
 
+MOVING = 250
+SWEPT = Stage(office().render(), Scenario(seconds=32.0, lidar=LIDARS["rplidar-a2"]))
 STAGE = Stage(office().render(), Scenario(seconds=12.0, lidar=Lidar(rate=5.0)))
 
 
@@ -175,6 +188,12 @@ Sweep: Any = partial(Scan, angle_min=-1.57, angle_increment=0.0087, range_max=30
         (lambda _: Sweep([True]), ScanError, "no numbers in m: bool"),
         (lambda _: Sweep([1.0], time=np.inf), ScanError, "time = inf: give a number, finite, s"),
         (lambda _: Sweep([1.0], lidar="front left"), ScanError, "lidar = 'front left': give its name"),
+        (lambda _: Sweep([1.0], range_max=10**400), ScanError, "range_max = 1000+: give a number, m"),
+        (lambda _: Sweep([1.0], angle_min=-(10**400)), ScanError, "angle_min = -1000+: give a number, rad"),
+        (lambda _: Sweep([1.0], mount=(0, 10**400, 0)), ScanError, r"mount = \(0, 1000+: give numbers"),
+        (lambda _: Sweep([10**400]), ScanError, "no numbers in m"),
+        (lambda it: it.track(GOOD, (10**400, 0, 0)), ValueError, r"odometry = \(1000+: give x, y"),
+        (lambda it: it.localize(GOOD, (0, 0, 0), 10**400), TypeError, "radius = 1000+: give a number, m"),
         (lambda _: Sweep([1.0], range_max="12"), ScanError, "range_max = '12': give a number, m"),
         (lambda _: Untyped.from_grid(STAGE.grid.cells), MapError, "ndarray is no GridMap"),
         (lambda _: Sweep([1.0], mount=(0.1, 0.0)), ScanError, "mount .* x, y and heading"),
@@ -279,6 +298,51 @@ def test_a_map_in_coordinates_of_the_earth_gives_the_same_poses(localizer: Local
     found, expected = there.localize(scan), localizer.localize(scan)
     assert found.poses - away == pytest.approx(expected.poses, abs=1e-6)
     assert there.track(scan, odometry).state == localizer.track(scan, odometry).state
+
+
+@pytest.fixture(scope="module")
+def swept(localizer: Localizer, tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Scan, Any]]:
+    """A drive whose lidar turns while it measures, and then repeats its last scan while the robot drives."""
+    path = tmp_path_factory.mktemp("swept") / "drive.mcap"
+    with RecordingWriter(path, {}) as writer:
+        for timed in SWEPT.messages():
+            writer.write(timed.envelope, timed.time)
+    drive = read_log(path)
+    frozen = drive[MOVING][0]
+    return [*drive[:MOVING], *((replace(frozen, time=scan.time), at) for scan, at in drive[MOVING:])]
+
+
+def test_a_drive_has_the_services_answers(
+    localizer: Localizer, swept: list[tuple[Scan, NDArray[np.float64]]]
+) -> None:
+    """Scans were not deskewed, and a lidar that repeated one scan kept its pose for 14 s."""
+    answers = [localizer.track(scan, odometry) for scan, odometry in swept]
+    projector = ProjectorCore(ProjectorSettings())
+    tracker = TrackerCore(TrackerSettings(), believes_stamps=True)
+    loop = Loopback([ScanIngestCore(ScanIngestSettings()), projector, tracker])
+    site = {"site": DEFAULT_SITE}
+    grid = to_message(localizer.site.grid, localizer.site.frame_id)
+    for model in (Envelope(MAP, site, grid), *announce_models(localizer.site, DEFAULT_SITE)):
+        loop.receive(model)
+    robot = site | {"robot": DEFAULT_ROBOT}
+    for (scan, odometry), answer in zip(swept, answers, strict=True):
+        moved = Odometry(timestamp=stamp(scan.stamp), pose=to_pose3(odometry))
+        published = [
+            *loop.receive(Envelope(ODOMETRY, robot, moved)),
+            *loop.receive(Envelope(SCAN_RAW, robot | {"lidar": scan.lidar}, scan.raw())),
+            *loop.finish(),
+        ]
+        (pose,) = (each.open(PoseEstimate) for each in published if each.channel is POSE)
+        assert Estimate.of(pose).state == answer.state
+        assert np.array_equal(Estimate.of(pose).pose, answer.pose, equal_nan=True)
+        assert pose.confidence == answer.confidence
+    turned = [
+        abs(wrap(answer.pose[2] - SWEPT.pose_at(scan.stamp)[2]))
+        for (scan, _), answer in zip(swept[:MOVING], answers, strict=False)
+    ]
+    assert np.median(turned[MOVING // 2 :]) < np.radians(0.3)  # 0.8 degrees where scans are as they were
+    assert answers[MOVING - 1].state == "localized"
+    assert {answer.state for answer in answers[MOVING + 25 :]} == {"ambiguous"}
 
 
 def test_time_must_go_on(localizer: Localizer, drive: Path) -> None:

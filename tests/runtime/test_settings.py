@@ -6,6 +6,7 @@ from typing import Literal
 
 import pytest
 from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
+from eigenscan.workbench.settings_page import KINDS, settings_of
 from pydantic import Field
 
 
@@ -181,6 +182,9 @@ def test_other_services_tables_are_theirs() -> None:
             "1",
             ["EIGENSCAN_SCAN_PORBE_BEAMS: unknown", "did you mean EIGENSCAN_SCAN_PROBE_BEAMS?"],
         ),
+        ("EIGENSCAN_LOG_LEVLE", "debug", ["EIGENSCAN_LOG_LEVLE: unknown, did you mean EIGENSCAN_LOG_LEVEL?"]),
+        ("EIGENSCAN_SIET", "x", ["did you mean EIGENSCAN_SITE?"]),
+        ("EIGENSCAN_CONFG", "x", ["did you mean EIGENSCAN_CONFIG?"]),
     ],
 )
 def test_a_bad_variable_is_named(
@@ -199,6 +203,19 @@ def test_a_bad_variable_is_named(
 )
 def test_what_other_programs_are_given_is_theirs(monkeypatch: pytest.MonkeyPatch, variable: str) -> None:
     monkeypatch.setenv(variable, "1")
+    assert _load() == ProbeSettings()
+
+
+@pytest.mark.parametrize("service", KINDS)
+def test_each_services_settings_are_another_services_own(
+    monkeypatch: pytest.MonkeyPatch, service: str
+) -> None:
+    """However much they resemble one of all services: STEP is not SITE."""
+    for name in settings_of(service).model_fields:
+        own = f"{service.replace('-', '_')}_{name}"
+        for variable in (own, *(() if name in ServiceSettings.model_fields else (name,))):
+            if variable not in ProbeSettings.model_fields:
+                monkeypatch.setenv(f"EIGENSCAN_{variable.upper()}", "1")
     assert _load() == ProbeSettings()
 
 

@@ -91,7 +91,7 @@ fn orient(raw: &RawScan) -> Result<(f64, f64, bool), Reason> {
     if step.abs() < SMALLEST_STEP {
         return Err("angle_increment_zero");
     }
-    if (beams - 1.5).max(0.5) * step.abs() > TAU {
+    if (beams - 1.5).max(2.0) * step.abs() > TAU {
         return Err("over_a_turn");
     }
     if raw.upside_down {

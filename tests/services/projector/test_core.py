@@ -8,6 +8,7 @@ import pytest
 from eigenscan.eigenspace.model import model_set
 from eigenscan.geometry.gridmap import to_message
 from eigenscan.geometry.pose import compose
+from eigenscan.projector.channels import LOCALIZE_ASKED
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.publishing import obstacles_message
 from eigenscan.projector.settings import ProjectorSettings
@@ -15,8 +16,9 @@ from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, OBSTAC
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
+from eigenscan.schemas.localize_pb2 import LocalizeQuery, LocalizeReply
 from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
-from eigenscan.schemas.scan_pb2 import Scan
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
 
 from tests.services.projector.office import (
     ADDRESS,
@@ -215,6 +217,19 @@ def test_the_scans_motion_goes_on_with_its_hypotheses(core: ProjectorCore, usabl
     assert not receive(core, scan)[0].HasField("motion")
     scan.motion.motion.theta = 0.25
     assert receive(core, scan)[0].motion == scan.motion
+
+
+@pytest.mark.parametrize("degrees", [7.5, 30.0, 32.7, 60.0])
+def test_a_scan_of_fewer_than_twelve_beams_is_unusable_however_far_they_are_apart(
+    core: ProjectorCore, degrees: float
+) -> None:
+    scan = scan_at(free_poses(1, 4)[0], field_of_view=2 * np.pi, step=np.deg2rad(degrees))
+    message, _ = receive(core, scan)
+    assert (message.status == Hypotheses.STATUS_OK) is (len(scan.ranges) >= 12)
+    fields = {name: getattr(scan, name) for name in ("angle_min", "angle_increment", "range_max", "ranges")}
+    asked = LocalizeQuery(scan=RawScan(**fields))
+    (answered,) = core.handle(Envelope(LOCALIZE_ASKED, {"query": "1"}, asked))
+    assert answered.open(LocalizeReply).status == message.status
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

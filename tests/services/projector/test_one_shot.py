@@ -208,10 +208,17 @@ def _change(**fields: object) -> Callable[[LocalizeQuery], None]:
     [
         (lambda query: query.ClearField("scan"), "scan.ranges: no beams"),
         (_change(ranges=[math.nan] * 181), "scan.ranges: none lies between range_min and"),
-        (_change(ranges=[1.0] * 20_001), "scan.ranges: more than 20000"),
+        (_change(ranges=[1.0] * 16_385), "scan.ranges: more than 16384"),
+        (_change(ranges=np.linspace(500.0, 9000.0, 181)), "scan.ranges: must be metres"),
+        (_change(ranges=[0.3] * 181), "scan.ranges: all have one value: is the lidar covered?"),
         (_change(angle_min=math.nan), "scan.angle_min"),
         (_change(angle_increment=0.0), "scan.angle_increment: must not be 0"),
         (_change(angle_increment=1.0), "scan.angle_increment: the beams cover over one turn"),
+        (_change(ranges=[1.0], angle_increment=4.0), "scan.angle_increment: .* over half a turn apart"),
+        (
+            _change(ranges=[1.0, 2.0], angle_increment=-3.15),
+            "scan.angle_increment: .* over half a turn apart",
+        ),
         (_change(range_min=9.0, range_max=5.0), "scan.range_min, range_max"),
         (_change(range_max=math.nan), "scan.range_min, range_max"),
         (lambda query: query.scan.mount.CopyFrom(Pose2(x=math.inf)), "scan.mount"),
@@ -241,6 +248,16 @@ def test_what_is_wrong_is_named_by_its_field_and_changes_nothing(
     assert re.match(words, refusal(core, bad))
     assert core.condition().counters["queries_refused"] == counted + 1
     assert output(core, query).open(LocalizeReply) == before
+
+
+@pytest.mark.parametrize("least_beams", [1, 12])
+def test_beams_half_a_turn_apart_are_answered(least_beams: int) -> None:
+    """The fewest beams that a whole turn may have."""
+    core = ready(least_beams=least_beams)
+    for ranges in ([1.0], [1.0, 2.0], [1.0, 2.0, 1.0]):
+        scan = RawScan(ranges=ranges, angle_min=-1.0, angle_increment=math.pi, range_max=30.0)
+        reply = output(core, LocalizeQuery(scan=scan)).open(LocalizeReply)
+        assert (reply.status == Hypotheses.STATUS_OK) is (least_beams == 1)
 
 
 def test_without_a_model_it_reports_what_is_missing() -> None:

@@ -328,6 +328,8 @@ def test_settings_are_read_from_flags() -> None:
     [
         (["--angle-step", "0"], "--angle-step = '0'"),
         (["--mounts", '{"front": {"z": 1}}'], r"mounts\.front\.z"),
+        (["--mounts", '{"/scan": {"x": 1}}'], "'/scan' is no lidar's name: give the last part of its key"),
+        (["--mounts", '{"": {"x": 1}}'], "'' is no lidar's name"),
         (["--mounts", '{"front": {"x": 200}}'], r"front\.x = 200: must be within 20 m: is it in millimetres"),
         (["--mounts", '{"front": {"y": -200}}'], r"front\.y = -200: must be within 20 m"),
         (

@@ -70,6 +70,25 @@ def test_a_line_a_beam_stands_where_it_looked(
     assert np.isnan(seen).sum() == 1
 
 
+@pytest.mark.parametrize(
+    ("count", "first"), [(400, -179.55), (360, 0.5), (720, 0.25), (360, 0.0), (400, 0.449)]
+)
+@pytest.mark.parametrize("name", ["angle_deg", "angle_cw_deg"])
+def test_even_beams_are_all_kept_wherever_the_first_one_looks(
+    tmp_path: Path, count: int, first: float, name: str
+) -> None:
+    angles = [round((first + j * 360.0 / count) % 360.0, 2) for j in range(count)]
+    lines = [f"time_s,{name},range_m"]
+    lines += [f"{second},{angle},{1 + angle / 100}" for second in (1, 2) for angle in angles]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    for scan in _scans(tmp_path / "a.csv"):
+        assert len(scan.ranges) == count
+        directions = np.degrees(scan.angle_min + scan.angle_increment * np.arange(count))
+        looked = (directions if name == "angle_deg" else -directions) % 360.0
+        off = (1 + looked / 100 - np.asarray(scan.ranges) + 1.8) % 3.6 - 1.8
+        assert np.abs(off).max() < 1e-4  # of 0.01 degrees
+
+
 def test_a_first_scan_of_few_beams_does_not_thin_out_the_next_ones(tmp_path: Path) -> None:
     """All scans of the log had as few."""
     lines = ["time_s,angle_deg,range_m"]
@@ -228,6 +247,10 @@ WIDE = "time_s,angle_min_deg,angle_increment_deg,range_m_0,range_m_1\n"
         (WIDE + "1,0,1,4,5\n2,0,1,4,far\n", "line 3, column range_m_1: 'far'"),
         (WIDE + "1,0,,4,5\n", "line 2, column angle_increment_deg: is empty"),
         (WIDE + "nan,0,1,4,5\n", "line 2, column time_s: 'nan'"),
+        (
+            WIDE.replace("time_s", "time_s,lidar") + "1,a,0,1,4,5\n1,front/scan x,0,1,4,5\n",
+            "line 3, column lidar: 'front/scan x': rename it",
+        ),
         (WIDE + "-5,0,1,4,5\n", "line 2, column time_s: -5 s is no time"),
         (WIDE + "1,0,0,4,5\n2,0,0,4,5\n", "column angle_increment_deg: is 0 in all lines"),
         (WIDE.replace("time", "Time") + "1,0,1,4,5\n", "line 1: has the column Time_s: rename it to time_s"),

@@ -111,6 +111,12 @@ def common_name(path: Path) -> str:
     return str(name.value)
 
 
+def is_for(path: Path, host: str) -> bool:
+    """Whether the certificate in `path` is a server's at this host name or address."""
+    names = read_certificate(path).extensions.get_extension_for_class(x509.SubjectAlternativeName)
+    return _served(host) in names.value
+
+
 def write_pair(
     folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey
 ) -> None:

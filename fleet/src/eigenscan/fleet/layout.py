@@ -23,7 +23,7 @@ from typing import Annotated, Any
 
 from eigenscan.fleet import access, configuration
 from eigenscan.fleet.access import Air
-from eigenscan.fleet.authority import common_name, write_whole
+from eigenscan.fleet.authority import LONGEST_NAME, common_name, is_for, write_whole
 from eigenscan.fleet.configuration import INSTALLED
 from eigenscan.runtime.errors import FailedError, UsageError, one_line
 from eigenscan.runtime.settings import explained, parse_toml
@@ -35,7 +35,7 @@ from pydantic_core import ErrorDetails
 __all__ = [
     "INSTALLED",
     "begin",
-    "check_groups",
+    "check",
     "checked",
     "configure",
     "in_force",
@@ -87,6 +87,17 @@ def _chunk(name: str) -> str:
     return name
 
 
+def _within(most: int) -> AfterValidator:
+    """Of names of at most so many bytes, for a certificate's common name."""
+
+    def check(name: str) -> str:
+        if len(name.encode()) > most:
+            raise ValueError(f"is too long for a certificate: shorten it to {most} bytes")
+        return name
+
+    return AfterValidator(check)
+
+
 def _robot(name: str) -> str:
     # "site": the instance of the site's own services, for whose keys such a robot would have rights
     if {".", ","} & {*_chunk(name)} or name in {"site", *(role.value for role in Role)}:
@@ -112,8 +123,8 @@ def _host(name: str) -> str:
 
 Hertz = Annotated[float, Field(ge=0.0, le=1000.0, strict=True)]  # strict: true is no number
 Rates = dict[Annotated[str, AfterValidator(_channel)], Hertz]
-RobotName = Annotated[str, AfterValidator(_robot)]
-GroupName = Annotated[str, AfterValidator(_robot), AfterValidator(_chunk)]
+HolderName = Annotated[str, AfterValidator(_robot), _within(LONGEST_NAME - len("robot..01234567"))]
+"""Of a robot or a group; behind it a common name has a random part."""
 
 
 class Fleet(BaseModel):
@@ -121,12 +132,12 @@ class Fleet(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    site: Annotated[str, AfterValidator(_chunk)]
+    site: Annotated[str, AfterValidator(_chunk), _within(LONGEST_NAME - len(" fleet"))]
     addresses: Annotated[tuple[Annotated[str, AfterValidator(_host)], ...], Field(min_length=1)]
     hold_back_floods: bool = True
-    groups: dict[GroupName, Annotated[str, AfterValidator(_group)]] = {}
+    groups: dict[HolderName, Annotated[str, AfterValidator(_group)]] = {}
     air: Rates = {}
-    robots: dict[RobotName, Rates] = {}
+    robots: dict[HolderName, Rates] = {}
 
     def air_of(self, robot: str) -> Air:
         """Samples a second of each channel that this robot may send over the air."""
@@ -143,11 +154,14 @@ def read(folder: Path) -> Fleet:
         raise UsageError(
             f"{path}: is not there: make a fleet with eigenscan fleet certify --site NAME -o {folder}"
         )
+    return checked(_toml(path), str(path))
+
+
+def _toml(path: Path) -> dict[str, Any]:
     try:
-        content = parse_toml(path.read_text(encoding="utf-8"))
+        return parse_toml(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise UsageError(f"{path}: is not TOML: {error}") from error
-    return checked(content, str(path))
 
 
 def checked(content: Mapping[str, Any], source: str) -> Fleet:
@@ -207,6 +221,10 @@ def left_out(folder: Path) -> list[str]:
     return lines
 
 
+def _certified_groups(folder: Path) -> set[str]:
+    return {path.parent.name for path in (folder / "groups").glob("*/projector.crt")}
+
+
 def _revoked(folder: Path, kind: str, name: str) -> list[Path]:
     """Revoked certificates of a robot or group that holds no other."""
     held = {"robot": f"robots/{name}/robot.crt", "group": f"groups/{name}/projector.crt"}[kind]
@@ -223,7 +241,25 @@ def services(folder: Path) -> dict[Role, Path]:
     }
 
 
-def check_groups(folder: Path, names: Sequence[str] = ()) -> None:
+def check(folder: Path, names: Sequence[str] = ()) -> None:
+    """Checks fleet.toml with robots `names` more, and what was made of a former one. Raises UsageError."""
+    _check_groups(folder, names)
+    fleet, settings, router = read(folder), folder / "fleet.toml", folder / "site/router.crt"
+    strange = [one for one in fleet.addresses if router.exists() and not is_for(router, one)]
+    if strange:
+        raise UsageError(
+            f"{settings}: addresses: robots refuse {strange[0]}, for which {router} is not: delete it and "
+            f"router.key, then run: eigenscan fleet certify -o {folder}"
+        )
+    for path in sorted(folder.rglob("eigenscan.toml")):
+        site = _toml(path).get("site", fleet.site)
+        if site != fleet.site:
+            raise UsageError(
+                f"{path}: site = {site!r}, and {settings} has {fleet.site!r}: change one of them"
+            )
+
+
+def _check_groups(folder: Path, names: Sequence[str] = ()) -> None:
     """Raises UsageError where a group has the name of a robot, of `names` too, or two groups a robot."""
     from zenoh import KeyExpr
 
@@ -242,13 +278,20 @@ def check_groups(folder: Path, names: Sequence[str] = ()) -> None:
 
 def configure(folder: Path) -> None:
     """Writes the configuration of every router and service of the fleet. Raises UsageError."""
-    check_groups(folder)
+    check(folder)
+    if uncertified := sorted(in_force(folder).groups.keys() - _certified_groups(folder)):
+        raise UsageError(
+            f"{folder / 'fleet.toml'}: groups.{uncertified[0]}: has no certificate: run: "
+            f"eigenscan fleet certify -o {folder}"
+        )
     _configure(folder)
 
 
 def _configure(folder: Path) -> None:
     """The same of groups as they are: a fault in them must keep nobody in who is shut out."""
     fleet, members = in_force(folder), robots(folder)
+    held = {name: group for name, group in fleet.groups.items() if name in _certified_groups(folder)}
+    fleet = fleet.model_copy(update={"groups": held})
     if unknown := sorted(set(fleet.robots) - set(members)):
         known = ", ".join(members)
         raise UsageError(
@@ -260,9 +303,8 @@ def _configure(folder: Path) -> None:
         router, missed = (fleet.addresses[0], members) if is_operator else ("localhost", ())
         _write(own / f"{role.value}.json5", configuration.site_service(role.value, router, missed))
     groups = {
-        name: (common_name(own / "projector.crt"), fleet.groups[name])
-        for name in fleet.groups
-        if ((own := folder / "groups" / name) / "projector.crt").exists()
+        name: (common_name(folder / "groups" / name / "projector.crt"), group)
+        for name, group in fleet.groups.items()
     }
     for name, (_, group) in groups.items():
         own = folder / "groups" / name
@@ -315,9 +357,22 @@ def revoke(folder: Path, name: str) -> Path:
         if name in of_service:
             held.with_suffix(".json5").unlink(missing_ok=True)
         else:
-            shutil.rmtree(held.parent)
+            _clear(held.parent, configuration.settings(read(folder).site, name))
         _configure(folder)
     return kept
+
+
+def _clear(own: Path, begun: str) -> None:
+    """Deletes a robot's folder, but keeps the settings that its owner edited: not those `begun`."""
+    settings = own / "eigenscan.toml"
+    if not settings.exists() or settings.read_text(encoding="utf-8") == begun:
+        shutil.rmtree(own)
+        return
+    for path in own.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path != settings:
+            path.unlink()
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from eigenscan.runtime.certificates import fault_in
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.health import WAITING
 from eigenscan.runtime.inbox import Arrival, Inbox
-from eigenscan.runtime.session import MEETING, open_meanwhile
+from eigenscan.runtime.session import MEETING, UnreachableError, open_meanwhile
 from eigenscan.schemas.advice_pb2 import Advice
 from eigenscan.schemas.advice_words import HOLDS_S, words_of
 from eigenscan.schemas.channels import (
@@ -60,14 +60,14 @@ OFFSETS = 10
 
 
 class NoRouterError(FailedError):
-    """No session within OPEN_S."""
+    """No session within OPEN_S, or at once where the configuration does not wait."""
 
 
 def connect(path: Path | None) -> zenoh.Session:
     """Session from a Zenoh configuration. Raises NoRouterError, or ContractError naming the file."""
     try:
         return open_meanwhile(path, "peer").result(OPEN_S)
-    except TimeoutError as error:
+    except (TimeoutError, UnreachableError) as error:
         if fault := fault_in(path):
             raise NoRouterError(f"no router takes this certificate: {fault}") from error
         what = (
@@ -76,7 +76,8 @@ def connect(path: Path | None) -> zenoh.Session:
             if path
             else f"{MEETING} is in use by another program: end it, or give --zenoh FILE with another address"
         )
-        raise NoRouterError(f"nobody answers within {OPEN_S:.0f} s: {what}") from error
+        within = f" within {OPEN_S:.0f} s" if isinstance(error, TimeoutError) else ""
+        raise NoRouterError(f"nobody answers{within}: {what}") from error
 
 
 @lru_cache(maxsize=1024)

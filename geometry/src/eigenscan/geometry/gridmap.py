@@ -180,7 +180,7 @@ def _plain_yaml(path: Path) -> str:
         raise MapError(f"{path}: is no file that can be read to its end: give the map_server yaml")
     if path.stat().st_size > _MOST_YAML_BYTES:
         raise MapError(f"{path}: is too large for a map_server yaml: give the yaml that names the image")
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text(encoding="utf-8", errors="replace")  # a comment may have another encoding
     if nesting(text) > MOST_NESTED:
         raise MapError(f"{path}: is no map_server yaml: give the yaml that names the image")
     if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):  # a few of them fill the memory
@@ -261,7 +261,7 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
     sums = pixels if pixels.ndim == 2 else pixels[..., :3].sum(axis=-1, dtype=np.uint16)
     grey = np.arange(256.0) if pixels.ndim == 2 else np.arange(766.0) / 3.0
     transparent = pixels[..., 3] == 0 if pixels.ndim == 3 and pixels.shape[-1] == 4 else None
-    mode = meta.get("mode", "trinary")
+    mode = str(meta.get("mode", "trinary")).lower()  # as Nav2 reads it
     if mode not in ("trinary", "scale", "raw"):
         raise MapError(f"{path}: mode = {mode!r}: there are trinary, scale and raw")
     if mode == "raw":

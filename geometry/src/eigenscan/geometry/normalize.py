@@ -39,8 +39,10 @@ FAULTS = {
     "no_valid_range": "ranges: none lies between range_min and range_max; m",
     "angles_not_finite": "angle_min, angle_increment: must be numbers; rad",
     "angle_increment_zero": "angle_increment: must not be 0; rad",
-    "over_a_turn": "angle_increment: the beams cover over one turn; rad",
+    "over_a_turn": "angle_increment: the beams cover over one turn, or are over half a turn apart; rad",
     "limits_inconsistent": "range_min, range_max: contradict each other; m",
+    "one_value": "ranges: all have one value: is the lidar covered?",
+    "not_in_metres": "ranges: must be metres",
     "mount_too_far": f"mount: not finite, or over {FARTHEST_MOUNT:.0f} m from the base",
 }
 """What the reason of a ScanError means, with the field, for whoever can mend it."""
@@ -66,7 +68,7 @@ class Sweep:
 def orient(sweep: Sweep, upside_down: bool) -> Sweep:
     """Same beams, counter-clockwise seen from above, angle_min in [-pi, pi).
 
-    Raises ScanError for invalid angles: not finite, no step, over a turn.
+    Raises ScanError for invalid angles: not finite, no step, over a turn, or over half a turn apart.
     """
     ranges, first, step = sweep.ranges, sweep.angle_min, sweep.angle_increment
     count = len(ranges)
@@ -74,7 +76,7 @@ def orient(sweep: Sweep, upside_down: bool) -> Sweep:
         raise ScanError("angles_not_finite")
     if abs(step) < SMALLEST_STEP:
         raise ScanError("angle_increment_zero")
-    if max(count - 1.5, 0.5) * abs(step) > TURN:
+    if max(count - 1.5, 2.0) * abs(step) > TURN:
         raise ScanError("over_a_turn")
     if upside_down:
         first, step = -first, -step

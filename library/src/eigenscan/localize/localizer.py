@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Collection
 from dataclasses import replace
-from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,32 +14,28 @@ from eigenscan.eigenspace.folder import SiteModel, read_models
 from eigenscan.geometry.gridmap import GridMap, MapError, check_grid, to_message
 from eigenscan.geometry.plans import PlanOptions, read_plan
 from eigenscan.geometry.pose import to_message as pose_message
-from eigenscan.geometry.pose import to_pose3
 from eigenscan.localize.answers import Estimate, Hypotheses
-from eigenscan.localize.scan import Scan, ScanError
+from eigenscan.localize.scan import Scan, is_number
+from eigenscan.localize.session import Session
 from eigenscan.mapbuilder.core import announce_models
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import build_site
 from eigenscan.projector.channels import LOCALIZE_ASKED, LOCALIZE_REFUSED
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, HYPOTHESES, MAP, MODEL_SET, ODOMETRY, POSE
-from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.channels import DEFAULT_SITE, MAP
+from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.extra import needs
 from eigenscan.schemas.localize_pb2 import LocalizeQuery, LocalizeReply
 from eigenscan.schemas.methods import of_service
-from eigenscan.schemas.tracking_pb2 import PoseEstimate
-from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from google.protobuf.wrappers_pb2 import StringValue
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    from eigenscan.tracker.core import TrackerCore
     from matplotlib.axes import Axes
 
 _LOGS = (".mcap", ".bag", ".clf", ".csv", ".db3")
 """Ends of the names of logs, which people give for the map."""
-_ROBOT = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT}
 
 
 class Localizer:
@@ -67,9 +62,7 @@ class Localizer:
         settings = ProjectorSettings.model_validate(of_service(method, "projector"))
         self._projector = ProjectorCore(settings)
         self._projector_receives(site)
-        self._tracker: TrackerCore | None = None
-        self._newest: dict[str, int] = {}
-        """Stamp of each lidar's latest scan, ns."""
+        self._session: Session | None = None
 
     def __reduce__(self) -> tuple[type[Localizer], tuple[SiteModel, str]]:
         return type(self), (self.site, self._method)
@@ -160,21 +153,8 @@ class Localizer:
         """
         _be_a_scan(scan)
         pose = None if odometry is None else _pose(odometry, "odometry")
-        if scan.stamp <= self._newest.get(scan.lidar, scan.stamp - 1):
-            fix = "name each of several lidars: Scan(..., lidar=NAME)"
-            raise ScanError(f"time = {scan.time}: must be after that of the scan before; {fix}")
-        if scan.stamp < max(self._newest.values(), default=scan.stamp):
-            raise ScanError(f"time = {scan.time}: must not be before that of another lidar's scan")
-        found = self._answer(scan)
-        self._newest[scan.lidar] = scan.stamp
-        tracker = self._tracker = self._tracker or _new_tracker(self._method, self.site)
-        if pose is not None:
-            message = Odometry(timestamp=stamp(scan.stamp), pose=to_pose3(pose))
-            list(tracker.handle(Envelope(ODOMETRY, _ROBOT, message)))
-        # nothing else comes that hypotheses could wait for
-        published = [*tracker.handle(found), *tracker.finish()]
-        (estimate,) = (each.open(PoseEstimate) for each in published if each.channel is POSE)
-        return Estimate.of(estimate)
+        self._session = self._session or Session(self._method, self.site, self._projector)
+        return Estimate.of(self._session.track(scan, pose))
 
     def floor(self, pose: ArrayLike) -> tuple[str, NDArray[np.float64]] | None:
         """The floor of a pose (3,): its name, and the pose in that floor's own map frame.
@@ -186,8 +166,7 @@ class Localizer:
 
     def forget(self) -> None:
         """Forgets all tracks."""
-        self._tracker = None
-        self._newest.clear()
+        self._session = None
 
     def plot(self, found: Hypotheses | None = None, axes: Axes | None = None) -> Axes:
         """Draws the map and `found`. Needs matplotlib: pip install 'eigenscan-localize[plot]'."""
@@ -203,24 +182,6 @@ class Localizer:
         for published in (grid, *announce_models(site, DEFAULT_SITE)):
             list(self._projector.handle(published))
 
-    def _answer(self, scan: Scan) -> Envelope:
-        published = list(self._projector.handle(scan.canonical()))
-        found = [each for each in published if each.channel is HYPOTHESES]
-        if not found:
-            raise ScanError(f"the projector set the scan aside: {self._projector.condition().detail}")
-        return found[0]
-
-
-def _new_tracker(method: str, site: SiteModel) -> TrackerCore:
-    """Imports the tracker, which compiles it, only when it is needed. It knows the site's floors."""
-    from eigenscan.tracker.core import TrackerCore
-    from eigenscan.tracker.settings import TrackerSettings
-
-    settings = TrackerSettings.model_validate(of_service(method, "tracker"))
-    tracker = TrackerCore(settings, believes_stamps=True)
-    list(tracker.handle(Envelope(MODEL_SET, {"site": DEFAULT_SITE}, site.to_message())))
-    return tracker
-
 
 def _be_a_scan(scan: Scan) -> None:
     """Raises TypeError for ranges without their angles, and all else that is no scan."""
@@ -233,7 +194,7 @@ def _be_a_scan(scan: Scan) -> None:
 
 def _be_a_number(given: object, name: str, unit: str) -> None:
     """Raises TypeError that names the argument."""
-    if not isinstance(given, Real):
+    if not is_number(given):
         raise TypeError(f"{name} = {given!r:.80}: give a number, {unit}")
 
 
@@ -247,8 +208,8 @@ def _pose(given: ArrayLike, name: str) -> NDArray[np.float64]:
     """Checks a pose (3,). Raises ValueError."""
     try:
         pose = np.asarray(given, np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} = {given!r}: give x, y and heading (3,), m, m, rad") from None
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} = {given!r:.80}: give x, y and heading (3,), m, m, rad") from None
     if pose.shape != (3,):
         raise ValueError(f"{name} of shape {pose.shape}: give x, y and heading (3,), m, m, rad")
     if not np.isfinite(pose).all():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 _SET_ASIDE = "set_aside_"
 _UNITS = {
     "angle_min": "rad", "angle_increment": "rad", "range_max": "m", "range_min": "m", "time": "finite, s",
+    "time_increment": "s", "stamped_after": "s",
 }  # fmt: skip
 
 
@@ -34,8 +36,9 @@ class Scan:
     `ranges` (B,) in m; +inf, or `range_max` (0: not stated) and more: no return; NaN, 0, masked, or below
     `range_min`: missing.
     Angles in rad, counter-clockwise seen from above; an increment may be negative. `mount`: the sensor in
-    the robot's base frame, m, m, rad. `time` in s and the name `lidar`, of one of several, only count for
-    tracking.
+    the robot's base frame, m, m, rad. For tracking only: `time` in s; the name `lidar`, of one of several;
+    `time_increment`, s from beam to beam in their order (0: not stated), by which beams are deskewed to
+    `time`; `stamped_after`, s from the beam measured first to `time`.
     """
 
     ranges: ArrayLike
@@ -46,18 +49,20 @@ class Scan:
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
     time: float = 0.0
     lidar: str = "lidar"
+    time_increment: float = 0.0
+    stamped_after: float = 0.0
 
     def __post_init__(self) -> None:
         """Raises ScanError where a field has another shape, or is no number."""
         self._row()
         if np.shape(self.mount) != (3,):
             raise ScanError(f"mount = {self.mount!r}: give x, y and heading in the robot's frame, m, m, rad")
-        for name in ("angle_min", "angle_increment", "range_max", "range_min", "time"):
+        for name, unit in _UNITS.items():
             value = getattr(self, name)
-            if not isinstance(value, Real) or (name == "time" and not math.isfinite(value)):
-                raise ScanError(f"{name} = {value!r}: give a number, {_UNITS[name]}")
-        if not all(isinstance(value, Real) for value in np.asarray(self.mount).tolist()):
-            raise ScanError(f"mount = {self.mount!r}: give numbers, m, m, rad")
+            if not is_number(value) or (unit.startswith("finite") and not math.isfinite(value)):
+                raise ScanError(f"{name} = {value!r:.80}: give a number, {unit}")
+        if not all(map(is_number, np.asarray(self.mount).tolist())):
+            raise ScanError(f"mount = {self.mount!r:.80}: give numbers, m, m, rad")
         if not (isinstance(self.lidar, str) and is_chunk(self.lidar)):
             raise ScanError(f"lidar = {self.lidar!r:.80}: give its name, a str without blanks or / * $ # ? @")
         if abs(self.time) > LATEST_S:
@@ -91,7 +96,7 @@ class Scan:
                 raise TypeError(f"{given.dtype}")
             with np.errstate(over="ignore"):  # what is too large is no return
                 ranges = np.ma.filled(given.astype(np.float32), np.nan)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ScanError(f"ranges are no numbers in m: {error}") from None
         if ranges.ndim != 1:
             hint = ", such as ranges[0]" if ranges.ndim == 2 else ""
@@ -112,6 +117,8 @@ class Scan:
             mount=mount,
             time=nanoseconds(raw.timestamp) * 1e-9,
             lidar=lidar,
+            time_increment=raw.time_increment,
+            stamped_after=raw.stamped_after,
         )
 
     @property
@@ -129,15 +136,38 @@ class Scan:
             range_min=self.range_min,
             range_max=self.range_max,
             ranges=self._row().tolist(),
+            time_increment=self.time_increment,
+            stamped_after=self.stamped_after,
         )
 
     def canonical(self) -> Envelope:
-        """The scan as scan-ingest publishes it. Raises ScanError if it cannot be used."""
-        raw = self.raw()
-        ingest = ScanIngestCore(ScanIngestSettings())
-        address = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT, "lidar": self.lidar}
-        for published in ingest.handle(Envelope(SCAN_RAW, address, raw)):
-            return published
-        (reason,) = (name for name in ingest.condition().counters if name.startswith(_SET_ASIDE))
-        why = WHY[reason.removeprefix(_SET_ASIDE)]
-        raise ScanError(f"scan of {len(raw.ranges)} beams cannot be used: {why}")
+        """The scan as scan-ingest publishes it if it is the first. Raises ScanError if it cannot be used."""
+        return taken(ScanIngestCore(ScanIngestSettings()), self)[-1]
+
+
+def is_number(value: object) -> bool:
+    """Whether it is a number that a float holds: one of Python's own may be too large."""
+    if not isinstance(value, Real):
+        return False
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
+
+
+def taken(ingest: ScanIngestCore, scan: Scan) -> list[Envelope]:
+    """What a scan-ingest publishes of a scan, that itself last. Raises ScanError if it sets it aside."""
+    before = _set_aside(ingest)
+    address = {"site": DEFAULT_SITE, "robot": DEFAULT_ROBOT, "lidar": scan.lidar}
+    published = list(ingest.handle(Envelope(SCAN_RAW, address, scan.raw())))
+    if not published:
+        (reason,) = _set_aside(ingest) - before
+        raise ScanError(f"scan of {len(scan.raw().ranges)} beams cannot be used: {WHY[reason]}")
+    return published
+
+
+def _set_aside(ingest: ScanIngestCore) -> Counter[str]:
+    """Scans set aside so far, by reason."""
+    counters = ingest.condition().counters.items()
+    return Counter({name.removeprefix(_SET_ASIDE): n for name, n in counters if name.startswith(_SET_ASIDE)})

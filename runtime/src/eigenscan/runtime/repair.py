@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import mmap
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import IO, cast
 
@@ -11,10 +14,14 @@ from eigenscan.runtime.recording import DAMAGE, PROFILE, RecordingError, WholeRe
 from eigenscan.runtime.recording.files import refuse_bomb
 from eigenscan.runtime.whole import whole
 from mcap.exceptions import EndOfFile, InvalidMagic
-from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
+
+RECORD_HEAD, CHUNK_HEAD = 9, 49
+"""Bytes of a record before its content, and of a chunk's record, less its data and its compression's name."""
+_CHUNK = re.compile(rb"\x06.{36}(?:(\x04\0{3}zstd|\x03\0{3}lz4)|\0{4})", re.DOTALL)
+"""A chunk's head up to the length of its data: opcode, length, times, size, checksum, compression."""
 
 
 @dataclass
@@ -30,7 +37,9 @@ class Salvage:
     stated_messages: int | None = None
     """Messages that the file had, by its own summary, if that is readable."""
     cut: bool = False
-    """Whether the file ends before its end mark, or becomes unreadable at some place."""
+    """Whether the file ends before its end mark."""
+    breaks: int = 0
+    """Places where it is unreadable, and behind which it goes on."""
     beyond: int = 0
     """Bytes after its proper end: of another recording, say."""
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -65,7 +74,7 @@ def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> S
                 found.channels[record.id] = record
             elif isinstance(record, Statistics):
                 found.stated_messages = record.message_count
-        found.lost_chunks, found.cut = 0, False
+        found.lost_chunks, found.breaks, found.cut = 0, 0, False
         with whole(target) as fresh:
             with fresh.open("wb") as file:
                 _rewrite(damaged, file, found, moved)
@@ -86,66 +95,71 @@ def is_sound(path: Path, moved: Moved = lambda _bytes: None) -> bool:
             pass
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    return not (found.cut or found.lost_chunks or found.beyond)
+    return not (found.cut or found.breaks or found.lost_chunks or found.beyond)
 
 
 def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
-    """All readable records, those of chunks one by one; counts the lost ones in `found`."""
+    """All readable records, those of chunks one by one; counts the lost ones in `found`.
+
+    Behind an unreadable place it goes on at the next chunk.
+    """
     with path.open("rb") as file:
-        whole = cast(IO[bytes], WholeReads(file))
-        records = StreamReader(whole, emit_chunks=True, record_size_limit=found.size).records
-        begins = 0
+        reader = partial(StreamReader, cast(IO[bytes], WholeReads(file)), emit_chunks=True)
+        records, ends, sound, chunks = reader(record_size_limit=found.size).records, 0, 0, 0
         while True:
             try:
                 record = next(records, None)
             except (EndOfFile, *DAMAGE) as error:
-                if not begins:
+                if not ends:
                     what = "no MCAP" if isinstance(error, InvalidMagic) else str(error)
                     what = what or "it ends before its first record"
                     raise RecordingError(f"{path}: is no readable recording: {what}") from error
-                yield from _after(file, begins, found, moved)
-                return
+                begins = _next_chunk(file, sound)
+                if begins is None:
+                    found.cut = True
+                    return
+                found.breaks += 1
+                file.seek(begins)
+                records = reader(skip_magic=True, record_size_limit=found.size).records
+                continue
             if record is None:
                 found.beyond = found.size - file.tell()
                 return
-            begins = file.tell()
-            moved(begins)
+            moved(file.tell())
             if isinstance(record, Chunk):
-                yield from _of_chunk(record, found)
+                inside, chunks = _of_chunk(record, found), chunks + 1
+                begins = file.tell() - _size(record)
+                # a damaged one may be shorter than it states, and hide the next; within it we look only once
+                sound = file.tell() if inside or begins < ends else begins + 1
+                yield from inside
             else:
+                sound = file.tell()
+                if isinstance(record, Statistics) and found.breaks:
+                    found.lost_chunks += max(record.chunk_count - chunks, 0)
                 yield record
+            ends = max(ends, file.tell())
 
 
-def _after(file: IO[bytes], place: int, found: Salvage, moved: Moved) -> Iterator[McapRecord]:
-    """What the index at the end still finds from an unreadable place on, a number of bytes into the file."""
-    try:
-        file.seek(0)
-        index = SeekingReader(file, record_size_limit=found.size).get_summary()
-    except (EndOfFile, *DAMAGE):
-        index = None
-    if index is None or not index.chunk_indexes:
-        found.cut = True
-        return
-    yield from index.schemas.values()
-    yield from index.channels.values()
-    if index.statistics:
-        yield index.statistics
-    for begins in sorted({one.chunk_start_offset for one in index.chunk_indexes}):
-        if not place <= begins < found.size:  # before it, or an index that nobody wrote in earnest
-            continue
-        file.seek(begins)
-        whole = cast(IO[bytes], WholeReads(file))
-        reader = StreamReader(whole, skip_magic=True, emit_chunks=True, record_size_limit=found.size)
-        try:
-            record = next(reader.records, None)
-        except (EndOfFile, *DAMAGE):
-            record = None
-        moved(file.tell())
-        if isinstance(record, Chunk):
-            place = file.tell()
-            yield from _of_chunk(record, found)
-        else:
-            found.lost_chunks += 1
+def _size(chunk: Chunk) -> int:
+    """Of its record, bytes."""
+    return CHUNK_HEAD + len(chunk.compression.encode()) + len(chunk.data)
+
+
+def _next_chunk(file: IO[bytes], place: int) -> int | None:
+    """Where the next chunk begins from a place in the file on, by what stands in the head of each."""
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        while found := _CHUNK.search(content, place):
+            begins, place = found.start(), found.start() + 1
+            size, packed, unpacked = (
+                int.from_bytes(content[at : at + 8], "little")
+                for at in (begins + 1, found.end(), begins + 25)
+            )
+            size += RECORD_HEAD
+            if size != found.end() + 8 - begins + packed or begins + size > len(content):
+                continue
+            if found[1] or packed == unpacked:
+                return begins
+    return None
 
 
 def _of_chunk(chunk: Chunk, found: Salvage) -> list[McapRecord]:

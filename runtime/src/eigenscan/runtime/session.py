@@ -43,12 +43,16 @@ _OBJECT = re.compile(r"(?:\s|//[^\n]*\n|/\*.*?\*/)*\{", re.DOTALL)
 _RUST_PLACE = re.compile(r"\s+at \S+\.rs:\d+\.?")
 
 
+class UnreachableError(ContractError):
+    """Nobody answers at the addresses of a configuration that does not wait for them."""
+
+
 def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = ()) -> zenoh.Session:
     """Opens a session as the JSON5 file configures it; without a file, one for this machine alone.
 
     `mode` ("peer", "router") and `listen` (more endpoints, such as tcp/0.0.0.0:7447) apply without a file.
     Raises ContractError that names the file if it is no Zenoh configuration, a certificate that cannot be
-    read, or why no session opens.
+    read, or why no session opens; UnreachableError if that is because nobody answers.
     """
     if mode != "router":
         os.environ.setdefault(*ONE_RECEIVER)
@@ -74,9 +78,8 @@ def open_session(path: Path | None, mode: str = "peer", listen: Sequence[str] = 
             if "already in use" in reason
             else "check its listen and connect endpoints"
         )
-        raise ContractError(
-            f"{path or f'{mode} of this machine'}: no Zenoh session: {reason}: {mend}"
-        ) from error
+        kind = UnreachableError if reason.startswith("Unable to connect") else ContractError
+        raise kind(f"{path or f'{mode} of this machine'}: no Zenoh session: {reason}: {mend}") from error
 
 
 def _is_another_json(path: Path) -> bool:

@@ -255,7 +255,17 @@ def _environment(kind: type[ServiceSettings], service: str) -> dict[str, Given]:
             stem = variable.removesuffix(capitals)
             if stem not in (variable, "EIGENSCAN_") and difflib.get_close_matches(stem, [own], cutoff=0.9):
                 raise SettingsError(f"environment: {variable}: unknown, did you mean {own}{capitals}?")
+        if meant := _misspelt(variable.removeprefix("EIGENSCAN_")):
+            raise SettingsError(f"environment: {variable}: unknown, did you mean EIGENSCAN_{meant}?")
     return found
+
+
+def _misspelt(name: str) -> str:
+    """The shared setting that a variable seems to mean; empty: it may be another program's or service's."""
+    shared = ["CONFIG", *map(str.upper, ServiceSettings.model_fields)]
+    alike = [each for each in shared if sorted(each) == sorted(name)]
+    near = [*difflib.get_close_matches(name, shared, n=1, cutoff=0.8), *alike]
+    return near[0] if near and name not in shared else ""
 
 
 def typed(kind: type[ServiceSettings], name: str, text: str) -> Any:

@@ -81,7 +81,7 @@ def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Se
         raise UsageError(f"--site, --address: {settings} has them; change them there")
     else:
         wanted = layout.in_force(folder).model_dump()
-        layout.check_groups(folder, names)
+        layout.check(folder, names)
     for name in names:
         if name in layout.robots(folder) or names.count(name) > 1:
             raise UsageError(

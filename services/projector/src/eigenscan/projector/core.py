@@ -247,7 +247,7 @@ class ProjectorCore:
             self._waiting.has_no_list(_lidar_of(received.address))
             return []
         self._advisor.see(received.address, nanoseconds(scan.timestamp), Lidar(seen.sensor, mount))
-        if seen.returned < self._settings.least_beams:
+        if seen.measured < self._settings.least_beams:
             self._counts["scan_unusable"] += 1
             return [Envelope(HYPOTHESES, address, unusable(scan, self._site, seen))]
         self._counts["scan_projected"] += 1

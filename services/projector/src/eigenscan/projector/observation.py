@@ -44,6 +44,12 @@ class Observation:
         return int(np.count_nonzero(self.used))
 
     @cached_property
+    def measured(self) -> int:
+        """How many measurements these are: with beams farther apart than the grid's, several are of one."""
+        back = (self.ranges >= NEAREST) & (self.ranges < FARTHEST)
+        return min(self.returned, int(np.count_nonzero(back)))
+
+    @cached_property
     def few(self) -> NDArray[np.int64]:
         """Indices (k,) of at most WEIGHED_BEAMS of the used beams, evenly spread."""
         used = np.flatnonzero(self.used)
@@ -83,7 +89,7 @@ def observe(scan: Scan) -> Observation:
     """Observation of a canonical scan. Raises ValueError for an invalid angular grid."""
     beams = len(scan.ranges)
     step = scan.angle_increment
-    if not beams or not (0.0 < step < np.pi and np.isfinite(scan.angle_min)):
+    if not beams or not (0.0 < step <= np.pi and np.isfinite(scan.angle_min)):
         raise ValueError(f"{beams} beams from {scan.angle_min} rad in steps of {step} rad")
     if not 0.0 <= scan.range_max < np.inf:
         raise ValueError(f"range_max = {scan.range_max} m")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from eigenscan.eigenspace.floors import Floor, floor_of
 from eigenscan.geometry.circle import wrap
+from eigenscan.geometry.doubtful_ranges import not_in_metres, one_value
 from eigenscan.geometry.message_floats import floats_of
 from eigenscan.geometry.normalize import (
     FARTHEST_MOUNT,
@@ -36,8 +37,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-MOST_BEAMS = 20_000
-"""Most beams of a scan: no lidar has more."""
+MOST_BEAMS = 16_384
+"""Most beams of a scan, as scan-ingest has it: no lidar has more."""
 REACH = 3.0
 """Largest distance from the base to the sensor, m: regions this far outside of the allowed ones are searched
 too."""
@@ -112,7 +113,7 @@ def answer(query: LocalizeQuery, site: Site, settings: ProjectorSettings) -> Loc
         asked_area_m2=allowed.area(site),
         none_probability=1.0,
     )
-    if seen.returned < settings.least_beams:
+    if seen.measured < settings.least_beams:
         reply.status = Hypotheses.STATUS_UNUSABLE_SCAN
         return reply
     found = _search(site, seen, settings, allowed)
@@ -161,10 +162,14 @@ def canonical(raw: RawScan) -> Scan:
             raise ScanError("mount_too_far")
         low, high = limits(raw.range_min, raw.range_max)
         ranges = floats_of(raw, "ranges")
+        if not_in_metres(ranges):
+            raise ScanError("not_in_metres")
         sweep = orient(Sweep(ranges, raw.angle_min, raw.angle_increment), raw.upside_down)
         sweep = own_beams(Sweep(limit(sweep.ranges, low, high), sweep.angle_min, sweep.angle_increment))
         if np.isnan(sweep.ranges).all():
             raise ScanError("no_valid_range")
+        if one_value(sweep.ranges, sweep.angle_increment):
+            raise ScanError("one_value")
     except ScanError as error:
         raise QueryError(f"scan.{_FAULTS[error.reason]}") from None
     return Scan(

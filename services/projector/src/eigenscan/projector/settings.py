@@ -73,7 +73,9 @@ class ProjectorSettings(Settings):
         description="s, by stamps, that a scan waits for a request; with several lidars "
         "less than the tracker's late",
     )
-    least_beams: int = Field(12, ge=1, description="beams with a return, 2 degrees apart, that a scan needs")
+    least_beams: int = Field(
+        12, ge=1, description="beams with a return, 2 degrees or more apart, that a scan needs"
+    )
 
     @property
     def share(self) -> tuple[int, int]:

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 from eigenscan.geometry.circle import wrap
+from eigenscan.geometry.doubtful_ranges import NEAREST_M, not_in_metres, one_value
 from eigenscan.geometry.message_floats import floats_of, put_floats
 from eigenscan.geometry.normalize import (
     FARTHEST_MOUNT,
@@ -25,7 +26,7 @@ from eigenscan.geometry.normalize import (
 )
 from eigenscan.ingest.deskew import Deskew, Timing
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
-from eigenscan.ingest.watch import FROZEN, NEAREST_M, Watch, not_in_metres, one_value
+from eigenscan.ingest.watch import FROZEN, Watch
 from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW, Channel, ContractError
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds, stamp
 from eigenscan.schemas.geometry_pb2 import Covariance3, Pose2
@@ -49,8 +50,6 @@ SHOWN = {
 WHY = FAULTS | {
     "other_message": "its sender uses another version of the contract",
     "too_many_beams": "scans have more beams than the setting max_beams allows",
-    "one_value": "all beams of a scan have one value: is the lidar covered?",
-    "not_in_metres": "ranges must be metres",
     "mount_not_finite": "the mount must be numbers",
     "duplicate_stamp": "each scan needs a new stamp: is it in whole seconds, or published twice?",
     "out_of_order": "stamps go backwards: do two drivers use one name, or two clocks?",

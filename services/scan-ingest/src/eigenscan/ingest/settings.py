@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from eigenscan.schemas.channels import is_chunk
 from eigenscan.schemas.settings import Settings
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
@@ -56,6 +57,14 @@ class ScanIngestSettings(Settings):
         le=1000,
         description="late scans in a row after which the lidar's clock counts as set back",
     )
+
+    @field_validator("mounts")
+    @classmethod
+    def _of_lidars(cls, value: dict[str, Mount]) -> dict[str, Mount]:
+        for name in value:
+            if name != EVERY_LIDAR and not is_chunk(name):
+                raise ValueError(f"{name!r} is no lidar's name: give the last part of its key")
+        return value
 
     @model_validator(mode="after")
     def _ordered(self) -> ScanIngestSettings:

@@ -8,6 +8,7 @@ from hashlib import blake2b
 from math import hypot
 
 import numpy as np
+from eigenscan.geometry.doubtful_ranges import LEAST_BEAMS
 from eigenscan.ingest.motion import BEAMS, Motion, Points, Pose, motion_between, moved_in, points_of
 from eigenscan.schemas.channels import FOLLOWS
 from numba import njit, types
@@ -46,13 +47,6 @@ PAUSE_NS = 1_000_000_000
 """Time between two scans from which on the lidar paused, or another drive began."""
 FROZEN = 20
 """Repeated scans in a row that are named in health: even a quiet lidar's noise changes some beam."""
-ONE_VALUE_M = 0.1
-"""Spread of the middle nine tenths of the ranges, m, below which all beams have one value: only a cover does,
-or a round room with the robot at its centre."""
-LEAST_BEAMS, LEAST_SPAN = 10, np.pi / 2.0
-"""Fewer beams, or a narrower sector (rad), may well see one value."""
-NEAREST_M = 100.0
-"""A twentieth of the returns is nearer than this, whatever the lidar, unless its ranges are no metres."""
 LAYOUTS, ALTERNATIONS = 20, 4
 """Number of times among the last scans that the layout returned to the one before: two lidars publish them.
 """
@@ -183,33 +177,3 @@ def _alike(before: Ranges, after: Ranges, turned: int) -> float:
         seen += np.isfinite(earlier) or np.isfinite(later)
         near += abs(later - earlier) <= np.float32(ALIKE_M)
     return near / max(seen, 1)
-
-
-def one_value(ranges: Ranges, step: float) -> bool:
-    """Whether all beams of a canonical scan, `step` rad apart, have one value: a covered lidar."""
-    if len(ranges) * step < LEAST_SPAN:
-        return False
-    known = ranges[np.isfinite(ranges)]
-    if len(known) < max(LEAST_BEAMS, len(ranges) // 2):
-        return False
-    low, high = _most(known)
-    return high - low <= ONE_VALUE_M
-
-
-def not_in_metres(ranges: Ranges) -> bool:
-    """Whether a raw scan's ranges are rather millimetres or centimetres.
-
-    Those of a driver that marks beams without a return by one far value, such as 1000, are not.
-    """
-    known = ranges[(ranges > 0.0) & (ranges < np.inf)]
-    if len(known) < LEAST_BEAMS or known[len(known) // 2] < NEAREST_M:  # so for most scans: no need to sort
-        return False
-    low, high = _most(known)
-    return low > NEAREST_M and high - low > ONE_VALUE_M
-
-
-def _most(known: Ranges) -> tuple[float, float]:
-    """Between which values the middle nine tenths of ranges lie, by about a hundred of them."""
-    ordered = np.sort(known[:: max(len(known) // 100, 1)])
-    tail = len(ordered) // 20
-    return float(ordered[tail]), float(ordered[-1 - tail])

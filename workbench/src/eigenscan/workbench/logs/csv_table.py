@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from eigenscan.schemas.channels import is_chunk
 from eigenscan.schemas.envelope import LATEST_S, Envelope
 from eigenscan.workbench.logs.log import (
     RECORDER_LAG_NS,
@@ -208,7 +209,7 @@ class CsvLog:
 
     def _convert(self) -> Iterator[Envelope]:
         taken, alone, flat, seen = 0, 0, 0, set[str]()
-        step: dict[str, float] = {}
+        grids: dict[str, tuple[float, float]] = {}
         for time, lidar, group in self._groups():
             lines = group
             if not 0 <= time <= LATEST_S:
@@ -236,9 +237,10 @@ class CsvLog:
             else:
                 angles, ranges = _beams(lines)
                 own = max(_step(angles), FINEST_DEG)
-                if own < FINER * step.get(lidar, np.inf):  # a scan of few beams shows too coarse a grid
-                    step[lidar] = own
-                yield self._scan(lines[0], stamp, lidar, *_on_grid(angles, ranges, step[lidar]))
+                # a scan of few beams shows too coarse a grid
+                if lidar not in grids or own < FINER * grids[lidar][1]:
+                    grids[lidar] = _phase(angles, own), own
+                yield self._scan(lines[0], stamp, lidar, *_on_grid(angles, ranges, *grids[lidar]))
             taken += 1
             alone += len(lines) == 1 and bool(lines[0].columns.angle)
         self._check(taken, alone, flat, seen)
@@ -307,7 +309,12 @@ class CsvLog:
 
 
 def _lidar(line: _Line) -> str:
-    return line.text(LIDAR, DEFAULT_LIDAR)
+    """Raises LogError for a name that no lidar can have."""
+    name = line.text(LIDAR, DEFAULT_LIDAR)
+    if not is_chunk(name):
+        fix = "rename it, without blanks or / * $ # ? @"
+        raise LogError(f"{line.columns.path}: line {line.number}, column {LIDAR}: {name!r:.80}: {fix}")
+    return name
 
 
 def _row(line: _Line) -> tuple[float, float, NDArray[np.float64]]:
@@ -343,14 +350,21 @@ def _step(angles: NDArray[np.float64]) -> float:
     return 360.0 / max(2, round(360.0 / float(np.mean(beside))))
 
 
+def _phase(angles: NDArray[np.float64], step: float) -> float:
+    """Angle, deg, of the grid's beam beside 0: where most beams have one of theirs."""
+    around = np.exp(1j * np.deg2rad(angles * (360.0 / step))).sum()
+    return float(np.rad2deg(np.angle(around))) * step / 360.0
+
+
 def _on_grid(
-    angles: NDArray[np.float64], ranges: NDArray[np.float64], step: float
+    angles: NDArray[np.float64], ranges: NDArray[np.float64], phase: float, step: float
 ) -> tuple[float, float, NDArray[np.float64]]:
     """A full turn of beams, rad; each has the range with the nearest angle, or none if none is near."""
     count = round(360.0 / step)
-    place = np.round(angles / step)
-    far_first = np.argsort(-np.abs(angles - place * step), kind="stable")
+    exact = (angles - phase) / step
+    place = np.round(exact)
+    far_first = np.argsort(-np.abs(exact - place), kind="stable")
     grid = np.full(count, np.nan)
     grid[place[far_first].astype(np.int64) % count] = ranges[far_first]
     half = count // 2
-    return -float(np.deg2rad(half * step)), float(np.deg2rad(step)), np.roll(grid, half)
+    return float(np.deg2rad(phase - half * step)), float(np.deg2rad(step)), np.roll(grid, half)

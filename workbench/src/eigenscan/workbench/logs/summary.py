@@ -7,8 +7,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from eigenscan.geometry.doubtful_ranges import not_in_metres
 from eigenscan.geometry.message_floats import floats_of
-from eigenscan.ingest.watch import not_in_metres
 from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
