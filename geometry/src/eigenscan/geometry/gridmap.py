@@ -303,7 +303,7 @@ def write_map(grid: GridMap, path: Path) -> None:
     Image.fromarray(grey[::-1]).save(path.with_suffix(".pgm"))
     meta = {
         "image": path.with_suffix(".pgm").name,
-        "resolution": grid.resolution,
+        "resolution": float(grid.resolution),
         "origin": [float(v) for v in grid.origin],
         "negate": 0,
         "occupied_thresh": 0.65,
@@ -330,7 +330,8 @@ def to_message(grid: GridMap, frame_id: str) -> Grid:
 def from_message(message: Grid) -> GridMap:
     """Inverse of to_message. Raises MapError if the grid has another form."""
     width = message.column_count
-    if not width or message.row_stride != width or message.cell_stride != 1 or len(message.data) % width:
+    ragged = not width or not message.data or len(message.data) % width
+    if ragged or message.row_stride != width or message.cell_stride != 1:
         raise MapError(f"grid of {len(message.data)} bytes, {width} columns: expected one byte a cell")
     resolution = message.cell_size.x
     if not FINEST_M <= resolution <= COARSEST_M or resolution != message.cell_size.y:
