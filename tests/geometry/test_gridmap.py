@@ -136,6 +136,23 @@ def test_a_map_comes_back_from_disk_and_from_the_wire(tmp_path: Path) -> None:
     assert read_map(tmp_path / "a" / "map.yaml").version == grid.version
 
 
+def test_a_map_that_cannot_be_written_leaves_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, file = some_map(), tmp_path / "map.yaml"
+    write_map(before, file)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Path, "write_text", full)
+        with pytest.raises(OSError, match="No space left"):
+            write_map(replace(before, cells=before.cells[::-1]), file)
+    assert read_map(file).version == before.version
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["map.pgm", "map.yaml"]
+
+
 def test_grids_that_are_no_maps() -> None:
     good = to_message(some_map(), "map")
     for change in (
