@@ -148,6 +148,17 @@ def test_models_that_cannot_be_read_leave_those_that_were_published(folder: Path
     assert core.condition().status == Health.STATUS_OK
 
 
+def test_a_folder_that_was_away_for_a_while_is_no_lasting_fault(folder: Path) -> None:
+    core, away = start(folder, "off"), folder.with_name("away")
+    folder.rename(away)
+    assert [*core.handle(PULSE), *core.handle(PULSE)] == []
+    assert core.condition().status == Health.STATUS_DEGRADED
+    assert core.condition().counters["models_unreadable"] == 1
+    away.rename(folder)
+    list(core.handle(PULSE))
+    assert core.condition().status == Health.STATUS_OK
+
+
 def test_a_map_alone_cannot_be_kept() -> None:
     with pytest.raises(ValidationError, match="eigenscan build"):
         MapbuilderOptions(map="map.yaml", changes="propose")
