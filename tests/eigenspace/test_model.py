@@ -209,6 +209,7 @@ def test_a_space_for_another_lidar_is_that_of_the_same_panoramas() -> None:
         (broken(outline_x=[1.0]), "1 x and 3 y"),
         (model_pb2.RegionModel(), "format 0"),
         (broken(origin_x=1e308, origin_y=1e308), "no building"),
+        (broken(origin_y=float("nan")), "no building"),
         (broken(spacing=1e-9), "no building"),
         (broken(beams=65536, index_x=[0] * 10_000, index_y=[0] * 10_000), "more than"),
     ],

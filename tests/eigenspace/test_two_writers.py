@@ -81,7 +81,12 @@ def test_a_version_that_another_one_removed_meanwhile_does_not_take_the_models_a
     assert read_models(folder).to_message().version == made(1).to_message().version
 
 
-def test_a_failed_exchange_leaves_both_as_they_were(tmp_path: Path) -> None:
+@pytest.mark.parametrize("atomic", [True, False])
+def test_a_failed_exchange_leaves_both_as_they_were(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, atomic: bool
+) -> None:
+    if not atomic:
+        monkeypatch.setattr("ctypes.CDLL", lambda *_, **__: object())
     (tmp_path / "here").mkdir()
     with pytest.raises(OSError, match="No such file"):
         exchange(tmp_path / "missing", tmp_path / "here")

@@ -1,4 +1,5 @@
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -139,7 +140,7 @@ def some_map(origin: tuple[float, float, float] = (1.5, -2.25, 0.7)) -> GridMap:
 
 
 def test_a_map_comes_back_from_disk_and_from_the_wire(tmp_path: Path) -> None:
-    grid = some_map()
+    grid = replace(some_map(), resolution=np.float64(0.05))
     write_map(grid, tmp_path / "a" / "map.yaml")
     for back in (read_map(tmp_path / "a" / "map.yaml"), from_message(to_message(grid, "map"))):
         np.testing.assert_array_equal(back.cells, grid.cells)
@@ -148,9 +149,32 @@ def test_a_map_comes_back_from_disk_and_from_the_wire(tmp_path: Path) -> None:
     assert read_map(tmp_path / "a" / "map.yaml").version == grid.version
 
 
+def test_a_map_that_cannot_be_written_leaves_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, file = some_map(), tmp_path / "map.yaml"
+    write_map(before, file)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Path, "write_text", full)
+        with pytest.raises(OSError, match="No space left"):
+            write_map(replace(before, cells=before.cells[::-1]), file)
+    assert read_map(file).version == before.version
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["map.pgm", "map.yaml"]
+
+
 def test_grids_that_are_no_maps() -> None:
     good = to_message(some_map(), "map")
-    for change in ({"column_count": 0}, {"cell_stride": 2}, {"data": b"123"}, {"row_stride": 3}):
+    for change in (
+        {"column_count": 0},
+        {"cell_stride": 2},
+        {"data": b"123"},
+        {"data": b""},
+        {"row_stride": 3},
+    ):
         bad = type(good)()
         bad.CopyFrom(good)
         for name, value in change.items():

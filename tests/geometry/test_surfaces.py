@@ -34,6 +34,13 @@ def test_thin_walls_are_their_own_surfaces() -> None:
     assert found.inexactness == 0.0
 
 
+@pytest.mark.parametrize("left", [900, 1018])
+def test_a_wall_across_a_tiles_edge_is_as_thick_as_elsewhere(left: int) -> None:
+    cells = np.full((60, 1200), FREE, dtype=np.uint8)
+    cells[:, left : left + 13] = OCCUPIED  # at 1018 the tile of its left face has none of its middle
+    assert Surfaces.of(GridMap(cells, 0.05, ORIGIN)).thickness == pytest.approx(0.65)
+
+
 @pytest.mark.parametrize("by", [0.1, 0.2])
 def test_fat_walls_are_thinned_to_where_they_were(by: float) -> None:
     grid = two_rooms()

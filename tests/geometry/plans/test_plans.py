@@ -123,6 +123,7 @@ def test_what_is_wrong_names_the_fix(tmp_path: Path) -> None:
         (dxf, PlanOptions(0.01), "enclose nothing"),
         (svg, PlanOptions(), "--metres-per-unit"),
         (svg, PlanOptions(0.01, ("wand",)), "no group with the id or label wand"),
+        (svg, PlanOptions(0.01, ("walls", "wand")), "no group with the id or label wand"),
         (tmp_path / "bad.dxf", PlanOptions(), "no DXF that can be read"),
         (tmp_path / "bad.svg", PlanOptions(1.0), "no SVG that can be read"),
         (tmp_path / "empty.svg", PlanOptions(1.0), "no wall in it"),

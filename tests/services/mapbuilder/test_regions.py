@@ -31,6 +31,16 @@ def test_each_room_and_the_hallway_is_a_region(office: GridMap) -> None:
     assert regions.core.max() == 3
 
 
+@pytest.mark.parametrize("quarters", range(4))
+def test_a_piece_with_most_of_its_cells_at_one_end_is_halved_too(quarters: int) -> None:
+    cells = np.full((7, 7), OCCUPIED, dtype=np.uint8)
+    cells[1, 1:4] = cells[2:4, 2] = FREE
+    grid = GridMap(np.ascontiguousarray(np.rot90(cells, quarters)), 1.0, np.zeros(3))
+    sizes = np.bincount(divide(grid, Division(largest=3.0, smallest=0.0, clutter=0.0)).core.ravel())[1:]
+    assert sizes.sum() == 5
+    assert sizes.max() <= 3
+
+
 def test_regions_overlap_by_the_margin_through_doors_and_not_through_walls(office: GridMap) -> None:
     regions = divide(office, Division(margin=1.0))
     hallway, room_left, room_right = core_at(regions, (7.0, 2.0), (4.0, 5.0), (9.0, 5.0))

@@ -35,6 +35,15 @@ def errors(mapped: Mapped, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
 
 
+def test_a_return_from_the_horizon_is_named(grid: GridMap, way: np.ndarray) -> None:
+    sweeps = scans(grid, way[:20])
+    outline = sweeps[10].outline
+    ranges = np.where(np.arange(len(outline.ranges)) == 5, 60_000.0, outline.ranges)
+    sweeps[10] = replace(sweeps[10], outline=Outline(outline.bearings, ranges))
+    with pytest.raises(MappingError, match="State range_max in the log"):
+        survey(sweeps)
+
+
 def odometry_of(sweep: Sweep) -> np.ndarray:
     assert sweep.odometry is not None
     return sweep.odometry

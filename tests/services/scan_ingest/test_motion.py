@@ -10,7 +10,7 @@ import pytest
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.motion import Points, motion_between, points_of
 from eigenscan.ingest.settings import ScanIngestSettings
-from eigenscan.ingest.watch import alike
+from eigenscan.ingest.watch import Watch, alike
 from eigenscan.schemas.channels import FOLLOWS, SCAN, SCAN_MOTION, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.geometry_pb2 import Pose2
@@ -341,6 +341,15 @@ def test_two_lidars_of_one_name_are_named_and_set_aside() -> None:
     ]
     assert not any(published[8:])
     assert "two lidars" in lidar.fault
+
+
+@pytest.mark.parametrize("first", [-0.75, -math.pi])
+def test_a_first_beam_that_trembles_is_no_second_lidar(first: float) -> None:
+    watch = Watch()
+    for scan in range(20):
+        tremble = 1e-3 if scan % 2 else -1e-3
+        watch.receive_layout(MOUNT, (first + tremble + math.pi) % (2.0 * math.pi) - math.pi)
+    assert not watch.two_lidars
 
 
 def test_scans_of_two_clocks_are_named() -> None:

@@ -67,3 +67,11 @@ def test_a_reference_that_is_off_is_in_doubt_and_a_similar_place_is_not() -> Non
     walls = Walls(DistanceField.of(_hall()), lambda _: _scan_at(true))
     assert judged.false_claims.tolist() == [True, True, True]
     assert list(doubtful(judged, scans, walls)) == [0]
+
+
+def test_a_lidar_that_states_no_maximum_shows_as_much() -> None:
+    scan, place = _scan_at((4.0, 4.5, 0.3)), np.array([4.0, 4.5, 0.3])
+    walls = Walls(DistanceField.of(_hall()), lambda _: None)
+    stated = walls.share(scan, place)
+    scan.range_max = 0.0
+    assert walls.share(scan, place) == stated > 0.9

@@ -48,6 +48,16 @@ def test_it_finds_the_least_cost_of_all(seed: int, beams: int, first: int) -> No
     assert cost[row, heading] == pytest.approx(cost.min(), abs=1e-9)
 
 
+def test_no_sum_of_a_dense_sensor_is_too_large_for_its_16_bits() -> None:
+    panoramas = np.array([[0.3], [5.5]]).repeat(720, axis=1)  # in the first every beam is off by the most
+    beams = 1966  # every third: 656 of 100 units each
+    directions: np.ndarray = np.arange(beams) * (2 * np.pi / beams)
+    shown = gallery(np.array([[0.0, 0.0], [5.0, 5.0]]), panoramas, 15.0)
+    found = best_pose(shown, np.full(beams, 5.0), directions, np.zeros(3))
+    assert found is not None
+    np.testing.assert_allclose(found[:2], [5.0, 5.0], atol=0.01)
+
+
 def test_the_answer_is_the_base_and_not_the_sensor() -> None:
     rng = np.random.default_rng(0)
     panoramas = rng.uniform(1, 5, (4, BEAMS))

@@ -94,6 +94,7 @@ def test_tum_rows_are_put_in_order_and_shifted(tmp_path: Path) -> None:
         "1 2 3",
         "x 0 0 0 0 0 0 1",
         "1 nan 0 0 0 0 0 1",
+        "1 0 nan 0 0 0 0 1",
         "nan 0 0 0 0 0 0 1",
         "1 0 0 0 0 0 0 0",
         "1 0 0 0 0 0 0 1 7",

@@ -261,9 +261,9 @@ def check(message: model_pb2.RegionModel) -> None:
         raise ModelError(
             f"{name}: {len(message.index_x)} panoramas of {message.beams} beams: more than {MOST_BYTES} bytes"
         )
-    if not FINEST_M <= message.spacing <= FARTHEST_M or not (
-        max(map(abs, (message.origin_x, message.origin_y))) <= FARTHEST_M
-    ):
+    # one by one: max passes over a NaN
+    near = abs(message.origin_x) <= FARTHEST_M and abs(message.origin_y) <= FARTHEST_M
+    if not (near and FINEST_M <= message.spacing <= FARTHEST_M):
         raise ModelError(
             f"{name}: origin ({message.origin_x:g}, {message.origin_y:g}), spacing {message.spacing:g} m: "
             "no building is there"

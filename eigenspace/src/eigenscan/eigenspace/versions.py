@@ -182,7 +182,11 @@ def exchange(one: Path, other: Path) -> None:
             raise OSError(code, os.strerror(code), str(one), None, str(other))
     aside = one.with_name(one.name + ".aside")
     other.rename(aside)
-    one.rename(other)
+    try:
+        one.rename(other)
+    except OSError:
+        aside.rename(other)
+        raise
     aside.rename(one)
 
 

@@ -292,7 +292,7 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
 
 
 def write_map(grid: GridMap, path: Path) -> None:
-    """Writes `path` (yaml) and a pgm of the same name beside it."""
+    """Writes `path` (yaml) and a pgm of the same name beside it, both whole or none. Raises OSError."""
     import yaml
     from PIL import Image
 
@@ -300,16 +300,24 @@ def write_map(grid: GridMap, path: Path) -> None:
     grey[grid.cells == FREE] = 254
     grey[grid.cells == OCCUPIED] = 0
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(grey[::-1]).save(path.with_suffix(".pgm"))
+    image = path.with_suffix(".pgm")
     meta = {
-        "image": path.with_suffix(".pgm").name,
-        "resolution": grid.resolution,
+        "image": image.name,
+        "resolution": float(grid.resolution),
         "origin": [float(v) for v in grid.origin],
         "negate": 0,
         "occupied_thresh": 0.65,
         "free_thresh": 0.196,
     }
-    path.write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
+    parts = [file.with_name(f"{file.name}.part") for file in (image, path)]
+    try:
+        Image.fromarray(grey[::-1]).save(parts[0], format="PPM")
+        parts[1].write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
+        parts[0].replace(image)
+        parts[1].replace(path)
+    finally:
+        for part in parts:
+            part.unlink(missing_ok=True)
 
 
 def to_message(grid: GridMap, frame_id: str) -> Grid:
@@ -330,7 +338,8 @@ def to_message(grid: GridMap, frame_id: str) -> Grid:
 def from_message(message: Grid) -> GridMap:
     """Inverse of to_message. Raises MapError if the grid has another form."""
     width = message.column_count
-    if not width or message.row_stride != width or message.cell_stride != 1 or len(message.data) % width:
+    ragged = not width or not message.data or len(message.data) % width
+    if ragged or message.row_stride != width or message.cell_stride != 1:
         raise MapError(f"grid of {len(message.data)} bytes, {width} columns: expected one byte a cell")
     resolution = message.cell_size.x
     if not FINEST_M <= resolution <= COARSEST_M or resolution != message.cell_size.y:

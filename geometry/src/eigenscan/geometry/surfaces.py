@@ -100,7 +100,7 @@ def _ordinary_depth(grid: GridMap, depth: NDArray[np.float32], middle: NDArray[n
     for top in range(0, height, TILE):
         for left in range(0, width, TILE):
             part = slice(top, top + TILE), slice(left, left + TILE)
-            if faces[part].any():
+            if faces[part].any() and middle[part].any():  # else there is no nearest one in this tile
                 row, column = distance_transform_edt(
                     ~middle[part], return_distances=False, return_indices=True
                 )

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from eigenscan.mapbuilder.keeping.change import find_change
+from eigenscan.mapbuilder.keeping.change import Change, find_change
 from eigenscan.mapbuilder.keeping.picture import draw_change
 from hypothesis import given
 from hypothesis import strategies as st
@@ -54,6 +54,14 @@ def test_a_cabinet_that_went_leaves_free_ground(hall: GridMap) -> None:
     assert not place.is_new
     assert place.centre == pytest.approx((2.6, 4.7), abs=0.06)
     assert place.sides == pytest.approx((1.2, 0.6), abs=0.06)
+
+
+def test_things_far_apart_are_two_in_a_coarse_map_too() -> None:
+    new = np.zeros((40, 40), dtype=bool)
+    new[2, 2] = new[30, 30] = True
+    grid = GridMap(np.zeros((40, 40), dtype=np.uint8), 0.6, np.zeros(3))
+    centres = [place.centre for place in Change(grid, new, np.zeros_like(new)).places()]
+    np.testing.assert_allclose(centres, [(1.5, 1.5), (18.3, 18.3)])
 
 
 def test_a_cabinet_that_came_is_a_wall_around_what_nobody_knows(hall: GridMap) -> None:

@@ -7,8 +7,10 @@ import pytest
 from eigenscan.eigenspace.folder import write_models
 from eigenscan.eigenspace.versions import accept, choose, choose_proposal, replace, versions
 from eigenscan.geometry.circle import TURN
-from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.gridmap import OCCUPIED, GridMap
 from eigenscan.mapbuilder.core import MapbuilderCore
+from eigenscan.mapbuilder.keeping.change import Change
+from eigenscan.mapbuilder.keeping.change_detector import ChangeDetector
 from eigenscan.mapbuilder.keeping.change_manager import ChangeManager
 from eigenscan.mapbuilder.keeping.source import Source
 from eigenscan.mapbuilder.keeping.store import Store
@@ -85,6 +87,25 @@ def test_a_store_that_cannot_be_written_is_reported_and_costs_no_evidence(
     assert core.condition().counters["changes_proposed"] == 1
 
 
+def test_a_change_that_could_not_be_published_is_published_after_the_next_visit(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core, first = start(folder, "publish"), versions(folder)[0].version
+    known, moved = KNOWN.cells == OCCUPIED, MOVED.cells == OCCUPIED
+    # every visit shows the very same
+    monkeypatch.setattr(ChangeDetector, "receive", lambda *_: Change(MOVED, moved & ~known, known & ~moved))
+    visit = next(each for each in Patrol(0).messages(MOVED, 0.0) if each.channel is SCAN)
+    with monkeypatch.context() as broken:
+        broken.setattr("eigenscan.eigenspace.versions.exchange", _full)
+        list(core.handle(visit))
+        assert core.condition().status == Health.STATUS_DEGRADED
+        assert versions(folder)[0].version == first
+    list(core.handle(visit))
+    assert core.condition().status == Health.STATUS_OK
+    assert core.condition().counters["changes_published"] == 1
+    assert versions(folder)[0].version != first
+
+
 @pytest.mark.parametrize("days", [2, -2])
 def test_a_robot_whose_clock_is_days_off_keeps_nobody_from_seeing_a_change(folder: Path, days: int) -> None:
     core = start(folder, "propose")
@@ -124,6 +145,17 @@ def test_models_that_cannot_be_read_leave_those_that_were_published(folder: Path
     assert "manifest.json" in core.condition().detail
     manifest.write_text(good + " ")
     assert [published.channel.name for published in core.handle(PULSE)] == ["map", "model_set"]
+    assert core.condition().status == Health.STATUS_OK
+
+
+def test_a_folder_that_was_away_for_a_while_is_no_lasting_fault(folder: Path) -> None:
+    core, away = start(folder, "off"), folder.with_name("away")
+    folder.rename(away)
+    assert [*core.handle(PULSE), *core.handle(PULSE)] == []
+    assert core.condition().status == Health.STATUS_DEGRADED
+    assert core.condition().counters["models_unreadable"] == 1
+    away.rename(folder)
+    list(core.handle(PULSE))
     assert core.condition().status == Health.STATUS_OK
 
 

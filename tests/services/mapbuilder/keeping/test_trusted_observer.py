@@ -1,3 +1,4 @@
+import gc
 from collections import Counter
 from collections.abc import Iterable
 from typing import Any
@@ -12,7 +13,7 @@ from eigenscan.mapbuilder.keeping.evidence import Evidence
 from eigenscan.mapbuilder.keeping.trusted_observer import TrustedObserver
 from eigenscan.mapbuilder.keeping.view import View
 from eigenscan.schemas.channels import POSE, SCAN
-from eigenscan.schemas.envelope import stamp
+from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, STATE_LOST, PoseEstimate, State
 from scipy.ndimage import binary_dilation
@@ -207,6 +208,16 @@ def test_a_person_who_stands_for_an_hour_is_no_change() -> None:
             assert not detector.receive(received)
         if k == 5:
             assert detector.counts["looks_counted"] > 500
+
+
+def test_lidars_that_fell_silent_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("eigenscan.schemas.recently_used.AMONG", 10)
+    detector = ChangeDetector(KNOWN, Evidence.of(KNOWN, VISIT_S), 4)
+    for number in range(100):
+        address = {"site": "s", "robot": "r1", "lidar": f"front{number}"}
+        detector.receive(Envelope(SCAN, address, scan(number * SECOND)))
+    kept = [each for each in gc.get_objects() if isinstance(each, TrustedObserver)]
+    assert sum(each._counts is detector.counts for each in kept) <= 11
 
 
 def test_crowds_that_walk_are_no_change() -> None:

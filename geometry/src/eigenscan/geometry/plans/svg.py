@@ -64,8 +64,8 @@ def _walls(path: Path, drawing: Any, metres_per_unit: float, layers: Collection[
     from svgelements import Shape
 
     groups = list(_groups(drawing, layers))
-    if layers and not groups:
-        raise MapError(f"{path}: no group with the id or label {', '.join(layers)}")
+    if missing := sorted(set(layers).difference(*map(_names, groups))):
+        raise MapError(f"{path}: no group with the id or label {', '.join(missing)}")
     lines, filled = list[Array](), list[Array]()
     curved = 0
     for element in (each for group in groups or [drawing] for each in group.select()):
@@ -100,8 +100,12 @@ def _check_size(path: Path) -> None:
 def _groups(drawing: Any, layers: Collection[str]) -> Iterator[Any]:
     """The groups that are named."""
     for element in drawing.elements(lambda each: hasattr(each, "select")):
-        if {element.id, element.values.get(LABEL)} & set(layers):
+        if _names(element) & set(layers):
             yield element
+
+
+def _names(group: Any) -> set[Any]:
+    return {group.id, group.values.get(LABEL)}
 
 
 def _is_dark(colour: Any) -> bool:

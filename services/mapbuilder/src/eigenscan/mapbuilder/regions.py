@@ -151,7 +151,9 @@ def _halve(core: NDArray[np.int32], largest: float) -> NDArray[np.int32]:
         centred = cells - cells.mean(axis=0)
         axis = np.linalg.eigh(centred.T @ centred)[1][:, -1]
         along = centred @ axis
-        far = along > np.median(along)
+        middle = np.median(along)
+        # where most cells lie at one end, none is beyond the middle
+        far = along > middle if along.max() > middle else along < middle
         count += 1
         core[cells[far, 0], cells[far, 1]] = count
         waiting += [cells[~far], cells[far]]

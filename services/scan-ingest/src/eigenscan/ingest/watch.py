@@ -8,6 +8,7 @@ from hashlib import blake2b
 from math import hypot
 
 import numpy as np
+from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.doubtful_ranges import LEAST_BEAMS
 from eigenscan.ingest.motion import BEAMS, Motion, Points, Pose, motion_between, moved_in, points_of
 from eigenscan.schemas.channels import FOLLOWS
@@ -50,6 +51,8 @@ FROZEN = 20
 LAYOUTS, ALTERNATIONS = 20, 4
 """Number of times among the last scans that the layout returned to the one before: two lidars publish them.
 """
+TREMBLES = 1e-3, 1e-3, 1e-3, 0.1
+"""m, m, rad of the mount and rad of the first beam, that one lidar's layout may differ by."""
 
 
 class Watch:
@@ -82,8 +85,9 @@ class Watch:
         return back >= ALTERNATIONS
 
     def receive_layout(self, mount: Pose, angle_min: float) -> None:
-        """Records the layout of a raw scan's beams."""
-        self._layouts.append((*(round(value, 3) for value in mount), round(angle_min, 1)))
+        """Records the layout of a raw scan's beams; one that trembles a little stays the same."""
+        own = (*mount, angle_min)
+        self._layouts.append(next((each for each in self._layouts if _is_one(own, each)), own))
 
     def receive(
         self, stamp: int, ranges: Ranges, angle_min: float, step: float, mount: Pose
@@ -156,6 +160,13 @@ class Watch:
     def _begin(self, points: Points) -> None:
         self._reference, self._compared = points, points.stamp
         self._velocity = (0.0, 0.0, 0.0)
+
+
+def _is_one(own: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    """Whether two layouts are of one lidar."""
+    x, y, heading, first = (a - b for a, b in zip(own, other, strict=True))
+    heading, first = ((turn + np.pi) % TURN - np.pi for turn in (heading, first))
+    return all(abs(off) <= most for off, most in zip((x, y, heading, first), TREMBLES, strict=True))
 
 
 def alike(before: Ranges, after: Ranges, turned: int) -> float:

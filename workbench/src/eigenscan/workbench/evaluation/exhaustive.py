@@ -74,7 +74,7 @@ def best_poses(
     if not len(used):
         return np.empty((0, 3))
     # so few that their sum fits 16 bits: every k-th of a very dense sensor
-    used = used[:: -(-len(used) * limit // LARGEST)]
+    used = used[:: -(-len(used) // (LARGEST // limit))]
     step = TURN / shown.beams
     exact = directions[used] / step
     bins = np.round(exact).astype(np.int64)

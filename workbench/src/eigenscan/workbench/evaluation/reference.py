@@ -109,7 +109,8 @@ def read_trajectory(path: Path, offset_s: float = 0.0) -> Trajectory:
             stamp = nanoseconds_of(fields[0])
             x, y, _, qx, qy, qz, qw = (float(field) for field in fields[1:])
             theta = np.arctan2(2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)
-            if not max(abs(x), abs(y)) <= FARTHEST_M or not np.isfinite(theta) or qx == qy == qz == qw == 0.0:
+            near = abs(x) <= FARTHEST_M and abs(y) <= FARTHEST_M  # one by one: max passes over a NaN
+            if not near or not np.isfinite(theta) or qx == qy == qz == qw == 0.0:
                 raise ValueError
         except (ValueError, InvalidOperation):
             raise EvaluationError(

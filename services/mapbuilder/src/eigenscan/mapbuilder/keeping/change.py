@@ -85,7 +85,7 @@ def find_change(grid: GridMap, run: NDArray[np.int8], visits: int) -> Change:
 
 
 def _grown(mask: Mask, cells: int, within: Mask | None = None) -> Mask:
-    if not mask.any():
+    if not mask.any() or not cells:  # scipy takes no iteration for as many as it needs
         return mask
     return np.asarray(binary_dilation(mask, _EIGHT, iterations=cells, mask=within)) | mask
 

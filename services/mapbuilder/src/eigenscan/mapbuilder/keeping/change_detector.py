@@ -32,7 +32,7 @@ class ChangeDetector:
         """Views in a row that were days off, and the last one's robot."""
         self._odd = ""
         """A robot whose clock is days off the others'."""
-        self._observers: RecentlyUsed[str, dict[str, TrustedObserver]] = RecentlyUsed()
+        self._observers: RecentlyUsed[str, RecentlyUsed[str, TrustedObserver]] = RecentlyUsed()
         """By robot, then by lidar."""
         self.trust(grid)
 
@@ -52,16 +52,15 @@ class ChangeDetector:
         views: list[View] = []
         if received.channel is SCAN:
             scan = received.open(Scan)
-            observers, lidar = self._observers.use(robot, dict), received.address["lidar"]
-            if lidar not in observers:
-                observers[lidar] = TrustedObserver(self.counts)
-            views = observers[lidar].add_scan(scan, judge)
+            lidars = self._observers.use(robot, RecentlyUsed)
+            observer = lidars.use(received.address["lidar"], lambda: TrustedObserver(self.counts))
+            views = observer.add_scan(scan, judge)
         elif received.channel is POSE:
             pose = received.open(PoseEstimate)
             if pose.frame_id != self._frame_id:
                 self.counts["poses_of_another_frame"] += 1
                 return None
-            for observer in self._observers.use(robot, dict).values():
+            for _, observer in self._observers.use(robot, RecentlyUsed).items():
                 views += observer.add_pose(pose, judge)
         ended = [self._count(view, robot) for view in views]
         return find_change(self._grid, self.evidence.run, self._visits) if any(ended) else None

@@ -180,13 +180,13 @@ class ChangeManager:
             if self._publish:
                 self._store.accept()
                 self._counts["changes_published"] += 1
+            self._proposed = change.grid.version
 
     def _propose(self, change: Change) -> None:
         from eigenscan.mapbuilder.keeping.proposal import Proposal  # builds and draws: imported when needed
 
         proposal = Proposal.of(self._site, change, self._settings)
         self._store.propose(proposal.site, proposal.about, proposal.picture)
-        self._proposed = change.grid.version
         self._counts["changes_proposed"] += 1
         version = proposal.site.to_message().version
         if self._publish:

@@ -32,6 +32,8 @@ from eigenscan.mapbuilder.keeping.evidence import Evidence
 _BYTES_A_CELL = 64
 """Most bytes of evidence for a cell."""
 PICTURE = "change.png"
+GONE = (-1, -1)
+"""State of a folder without a manifest."""
 SPACES = "spaces"
 """Subfolder of a model folder: eigenspaces for other lidars than the declared one, a file for each kind."""
 
@@ -59,6 +61,9 @@ class Store:
         try:
             found = (self.folder / MANIFEST).stat()
         except OSError as error:
+            if self._read == GONE:
+                return None
+            self._read, self._version = GONE, ""  # where it comes back as it was, it is news
             raise ModelError(f"{self.folder / MANIFEST}: cannot be read: {error.strerror}") from error
         state = found.st_ino, found.st_mtime_ns
         if state == self._read:

@@ -16,7 +16,7 @@ from eigenscan.mapbuilder.mapping.closures import Closer, Closing, Match
 from eigenscan.mapbuilder.mapping.cloud import Cloud
 from eigenscan.mapbuilder.mapping.correlation import apart
 from eigenscan.mapbuilder.mapping.submap import Agreement, Submap, compare
-from eigenscan.mapbuilder.mapping.survey import Mapped, MappingError, Progress
+from eigenscan.mapbuilder.mapping.survey import Mapped, MappingError, Progress, check_extent
 from skimage.draw import polygon
 
 _LONGEST_GAP = np.deg2rad(3.0)
@@ -164,6 +164,7 @@ def _drawn(sweeps: Sequence[Sweep], poses: Array, resolution: float) -> GridMap:
     sensors = [compose(pose, sweep.mount) for sweep, pose in zip(sweeps, poses, strict=True)]
     points = [transform(at, sweep.outline.points) for sweep, at in zip(sweeps, sensors, strict=True)]
     reach = np.vstack([*points, *(at[None, :2] for at in sensors)])
+    check_extent(reach, resolution)
     low = np.floor(reach.min(axis=0) / resolution) - 2
     shape = (np.ceil(reach.max(axis=0) / resolution) - low + 3).astype(np.int64)[::-1]
     cells = np.full(shape, UNKNOWN, dtype=np.uint8)

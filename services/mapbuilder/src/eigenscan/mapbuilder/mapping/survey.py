@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from eigenscan.geometry.carving import Carving
-from eigenscan.geometry.gridmap import GridMap
+from eigenscan.geometry.gridmap import MOST_CELLS, GridMap
 from eigenscan.geometry.pose import Array, between, compose, transform
 from eigenscan.mapbuilder.mapping.bridges import bridge
 from eigenscan.mapbuilder.mapping.chain import Chain, Chainer, Keyframe, Step, Sweep
@@ -255,11 +255,22 @@ def _carved(
         rays.append((sensor[:2], transform(sensor, sweep.outline.points)))
     seen = np.vstack([np.vstack([view, ends]) for view, ends in rays])
     inside = seen if located is None else np.vstack([seen, corners(located.grid)])
+    check_extent(inside, resolution)
     carving = Carving.around(inside, resolution)
     for count, (view, ends) in enumerate(rays, 1):
         carving.add(view, ends)
         progress("carving the map", count / len(rays))
     return carving.to_map() if located is None else filled(carving.to_map(), located.grid)
+
+
+def check_extent(points: Array, resolution: float) -> None:
+    """Raises MappingError where points (K, 2), m, are too far apart for a map that can be read again."""
+    wide, high = np.ptp(points, axis=0).tolist()
+    if wide * high > MOST_CELLS * resolution**2:
+        raise MappingError(
+            f"its scans show walls {wide:.0f} m by {high:.0f} m apart: does the lidar mark beams without a "
+            "return by a far range? State range_max in the log, or make the map coarser with --resolution"
+        )
 
 
 def _to_carve(sweeps: Sequence[Sweep], numbers: NDArray[np.int64], poses: Array) -> list[int]:
