@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from dataclasses import replace
 from pathlib import Path
 from shutil import disk_usage
 from typing import TYPE_CHECKING, Annotated, Any
@@ -109,7 +110,7 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
             for record in read(recording, begin):
                 if record.log_time > end:
                     break
-                sink.write(record.envelope)
+                sink.write(replace(record.envelope, arrived=record.log_time))
                 moved(max(record.log_time - begin, 0) / max(end - begin, 1))
         sink.close()
     except RuntimeError as error:  # rerun's, which does not always name a full disk
