@@ -26,6 +26,7 @@ from eigenscan.schemas.tracking_pb2 import (
     Relocation,
     State,
 )
+from eigenscan.vda5050.actions import KEPT
 from eigenscan.vda5050.channels import MQTT_PUBLISHED, MQTT_RECEIVED
 from eigenscan.vda5050.core import Vda5050Core
 from eigenscan.vda5050.settings import Vda5050Settings, Version
@@ -401,6 +402,14 @@ def test_wrong_header_numbers_are_counted_and_no_action_is_lost_or_done_twice(ma
     counters = manager.core.condition().counters
     assert (counters["header_id_not_increasing"], counters["header_id_gaps"]) == (2, 1)
     assert counters["repeated_actions"] == 1
+
+
+def test_an_action_that_has_not_ended_stays_in_the_state_however_many_others_come(manager: Manager) -> None:
+    manager.publish(set_position("p", major=manager.major))
+    for number in range(40):
+        manager.publish({"actionType": "stateRequest", "actionId": str(number), "blockingType": "NONE"})
+    assert manager.action("p")["actionStatus"] == "RUNNING"
+    assert len(manager.state["actionStates" if manager.major == 2 else "instantActionStates"]) == KEPT
 
 
 def test_other_actions_and_orders_are_refused_and_requests_are_answered(manager: Manager) -> None:
