@@ -17,7 +17,7 @@ from google.protobuf.wrappers_pb2 import BytesValue
 PATIENCE_S = 20.0
 
 
-def said(inbox: Inbox) -> str | None:
+def next_report(inbox: Inbox) -> str | None:
     arrival = inbox.take(0.1)
     if arrival is None:
         return None
@@ -49,11 +49,11 @@ def test_what_a_broker_refuses_for_is_the_last_word(code: int, words: str) -> No
         broker = f"mqtt://127.0.0.1:{listening.getsockname()[1]}"
         port, inbox = MqttPort(Vda5050Options(broker=broker, robot="r1")), Inbox()
         port.open(inbox)
-        words_said: list[str] = []
+        reports: list[str] = []
         end = time.monotonic() + PATIENCE_S
-        while time.monotonic() < end and (not words_said or inbox.is_waiting):
-            words_said += filter(None, [said(inbox)])
+        while time.monotonic() < end and (not reports or inbox.is_waiting):
+            reports += filter(None, [next_report(inbox)])
         time.sleep(0.3)  # paho tells of the end right after the refusal
-        words_said += filter(None, [said(inbox)])
+        reports += filter(None, [next_report(inbox)])
         port.close()
-    assert words_said == [words]
+    assert reports == [words]
