@@ -23,7 +23,7 @@ from eigenscan.runtime.settings import load
         (["ros-bridge.map="], "/map"),  # as with a map_server
     ],
 )
-def test_the_robots_map_is_taken_from_where_the_bridge_is_told(
+def test_the_robots_map_is_taken_from_where_the_bridges_settings_name_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: list[str], asked: str
 ) -> None:
     names, bridges = [], []

@@ -433,7 +433,7 @@ def test_a_robot_that_publishes_nothing_any_more_is_not_shown_as_well(tmp_path: 
 
 
 @pytest.mark.parametrize(("ahead", "set_back"), [(2000, 0), (0, 500)])
-def test_a_robot_is_silent_by_one_clock_whatever_another_one_says(
+def test_a_robot_is_silent_by_one_clock_whatever_another_one_has(
     tmp_path: Path, ahead: int, set_back: int
 ) -> None:
     """A service whose clock is ahead for once, or this machine's own that is set back, in s."""
