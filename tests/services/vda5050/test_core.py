@@ -404,6 +404,16 @@ def test_wrong_header_numbers_are_counted_and_no_action_is_lost_or_done_twice(ma
     assert counters["repeated_actions"] == 1
 
 
+@pytest.mark.parametrize("turns", [-1, 0, 1, 2])
+@pytest.mark.parametrize("heading", [-3.0, -0.5, 2.0, math.pi])
+def test_a_heading_is_the_same_one_whatever_turns_a_tracker_counts(turns: int, heading: float) -> None:
+    manager = manager_of("3.0.0")
+    manager.pose(STATE_LOCALIZED, (1.0, 2.0, heading + 2.0 * math.pi * turns))
+    theta = manager.position["theta"]
+    assert -math.pi <= theta <= math.pi
+    assert [math.cos(theta), math.sin(theta)] == pytest.approx([math.cos(heading), math.sin(heading)])
+
+
 def test_an_action_that_has_not_ended_stays_in_the_state_however_many_others_come(manager: Manager) -> None:
     manager.publish(set_position("p", major=manager.major))
     for number in range(40):
