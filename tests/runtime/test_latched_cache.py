@@ -56,6 +56,16 @@ def test_what_is_damaged_or_foreign_is_passed_over(tmp_path: Path) -> None:
     assert (tmp_path / "notes.txt").exists()
 
 
+def test_what_cannot_be_read_is_passed_over(tmp_path: Path) -> None:
+    """As on a disk with bad blocks: a service that ended at that would end at each start."""
+    for region in ("hall", "room"):
+        LatchedCache(tmp_path).put(model(region, b"1"))
+    (first, _) = sorted(tmp_path.iterdir())
+    first.unlink()
+    first.mkdir()
+    assert [one.key for one in LatchedCache(tmp_path).read("site")] == ["site/model/room"]
+
+
 def test_a_robot_that_came_from_another_site_does_not_take_its_models_for_this_ones(tmp_path: Path) -> None:
     LatchedCache(tmp_path).put(model("hall", b"1"))
     assert not list(LatchedCache(tmp_path).read("other"))

@@ -69,11 +69,14 @@ class LatchedCache:
         """Key and digest of what was read, until its reader puts it."""
 
     def read(self, site: str) -> Iterator[Arrival]:
-        """All samples of a site, oldest first; damaged and foreign files are skipped."""
+        """All samples of a site, oldest first; damaged, unreadable and foreign files are skipped."""
         everything = [kept for history in self._kept.values() for kept in history]
         for kept in sorted(everything, key=lambda kept: kept.number):
             found = find(kept.key)
-            encoding, _, payload = kept.path.read_bytes().partition(b"\n")
+            try:
+                encoding, _, payload = kept.path.read_bytes().partition(b"\n")
+            except OSError:
+                continue
             if found is None or found[1]["site"] != site:
                 continue
             if digest(payload).hex() == kept.digest:
