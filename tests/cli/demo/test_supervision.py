@@ -66,6 +66,21 @@ def test_a_child_of_a_containers_first_process_runs(
     assert done.returncode == code
 
 
+def test_a_user_with_very_many_pipes_starts_children_too(
+    tmp_path: Path, make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Linux lets a user have 64 large pipes: those of the services of ten robots on one machine."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr("eigenscan.cli.launch.output.fcntl.fcntl", refuse)
+    with Supervisor(tmp_path / "logs") as supervisor:
+        supervisor.start("recorder", make("speaks", "print('viewer: http://here', flush=True)"), [])
+        supervisor.children["recorder"].process.wait(PATIENCE_S)
+        assert _eventually(lambda: supervisor.children["recorder"].output.link == "http://here")
+
+
 def test_a_full_disk_costs_log_lines_and_not_the_child(
     tmp_path: Path, make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
