@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from eigenscan.recorder.options import RecorderOptions
 
 HOST = "127.0.0.1"
+LOOK_S = 1.0
+"""Between two looks whether the viewer is served, s."""
 LEAST_FREE = 2**20
 """Bytes that a disk has that is not full: Rerun writes more at a time."""
 
@@ -130,7 +132,10 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
 
 
 def _open(picture: Path, port: int, figures: dict[str, Any], json_file: Path | None) -> None:
-    """Writes the figures with the link, and serves the viewer with `picture` until Ctrl-C."""
+    """Writes the figures with the link, and serves the viewer with `picture` until Ctrl-C.
+
+    Raises FailedError if its server ends before.
+    """
     import time
     import webbrowser
     from contextlib import suppress
@@ -138,11 +143,12 @@ def _open(picture: Path, port: int, figures: dict[str, Any], json_file: Path | N
     from eigenscan.recorder.web_viewer import free_port, serve_viewer
 
     page, data = free_port("--port", HOST, port), free_port("data port", HOST, 0)
-    with serve_viewer(HOST, page, data, picture) as link:
-        write_figures(figures | {"link": link}, json_file)
+    with serve_viewer(HOST, page, data, picture) as viewer:
+        write_figures(figures | {"link": viewer.link}, json_file)
         if wants_words(json_file):
-            typer.echo(f"viewer: {link}\nCtrl-C ends it")
-        webbrowser.open(link)
+            typer.echo(f"viewer: {viewer.link}\nCtrl-C ends it")
+        webbrowser.open(viewer.link)
         with suppress(KeyboardInterrupt):
-            while True:
-                time.sleep(3600)
+            while not viewer.problem:
+                time.sleep(LOOK_S)
+            raise FailedError(viewer.problem)
