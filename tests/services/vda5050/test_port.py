@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
+from unittest import mock
 
 import pytest
 from eigenscan.runtime.inbox import Inbox
@@ -24,6 +25,15 @@ def next_report(inbox: Inbox) -> str | None:
     message = decode(MQTT_RECEIVED, arrival.payload, arrival.encoding)
     assert isinstance(message, BytesValue)
     return message.value.decode()
+
+
+def test_a_broker_that_goes_as_the_bridge_ends_does_not_keep_it_from_closing() -> None:
+    """Both end at once where a machine does; paho raises an error for what it cannot publish any more."""
+    port = MqttPort(Vda5050Options(broker="mqtt://127.0.0.1:1", robot="r1"))
+    port.open(Inbox())
+    with mock.patch.object(port._client, "is_connected", return_value=True):
+        port.close()
+    assert port._client._thread is None
 
 
 @pytest.mark.parametrize(

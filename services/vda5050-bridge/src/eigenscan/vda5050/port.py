@@ -6,6 +6,7 @@ import json
 import ssl
 import sys
 from collections import Counter
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
@@ -88,7 +89,8 @@ class MqttPort:
             last = self._client.publish(
                 self._topic(CONNECTION), self._connection("OFFLINE"), qos=1, retain=True
             )
-            last.wait_for_publish(CLOSE_S)
+            with suppress(RuntimeError):  # the connection ended just now
+                last.wait_for_publish(CLOSE_S)
         self._client.disconnect()
         self._client.loop_stop()
 
