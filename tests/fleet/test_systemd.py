@@ -75,6 +75,8 @@ def directives(service: str) -> dict[str, list[str]]:
             if re.match(r"\w+=", line):
                 name, value = line.split("=", 1)
                 found.setdefault(name, []).extend(value.split())
+                if not value:  # it empties the list
+                    found[name].clear()
     return found
 
 
@@ -87,6 +89,12 @@ def folders(service: str) -> set[Path]:
     for kind in kinds:
         assert unit[f"{kind}Mode"] == ["0700"]
     return {Path(base) / name for kind, base in kinds.items() for name in unit.get(kind, [])}
+
+
+def test_only_those_that_have_to_speak_to_other_machines() -> None:
+    """The router; and the bridge to fleet managers, whose MQTT broker is on a machine of theirs."""
+    free = {name for name in SERVICES if "any" not in directives(name)["IPAddressDeny"]}
+    assert free == {"router", "vda5050-bridge"}
 
 
 def test_no_service_writes_what_another_one_runs_or_reads() -> None:

@@ -31,6 +31,19 @@ def test_of_each_key_the_newest_two_stay(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 3
 
 
+def test_what_comes_from_the_cache_is_not_written_again(tmp_path: Path) -> None:
+    """A process that ended between two of them would leave the older one as the newest."""
+    for payload in (b"1", b"2"):
+        LatchedCache(tmp_path).put(model("hall", payload))
+    files = sorted(tmp_path.iterdir())
+    again = LatchedCache(tmp_path)
+    for sample in list(again.read("site")):
+        again.put(sample)
+        assert sorted(tmp_path.iterdir()) == files
+    again.put(model("hall", b"1"))  # the site has gone back to it
+    assert [one.payload for one in LatchedCache(tmp_path).read("site")] == [b"2", b"1"]
+
+
 def test_what_is_damaged_or_foreign_is_passed_over(tmp_path: Path) -> None:
     LatchedCache(tmp_path).put(model("hall", b"1" * 100))
     LatchedCache(tmp_path).put(model("room", b"2"))
@@ -41,6 +54,16 @@ def test_what_is_damaged_or_foreign_is_passed_over(tmp_path: Path) -> None:
     (tmp_path / first.name.replace("site", "elsewhere%2Fsite")).write_bytes(b"x\n")
     assert [one.payload for one in LatchedCache(tmp_path).read("site")] == [b"2"]
     assert (tmp_path / "notes.txt").exists()
+
+
+def test_what_cannot_be_read_is_passed_over(tmp_path: Path) -> None:
+    """As on a disk with bad blocks: a service that ended at that would end at each start."""
+    for region in ("hall", "room"):
+        LatchedCache(tmp_path).put(model(region, b"1"))
+    (first, _) = sorted(tmp_path.iterdir())
+    first.unlink()
+    first.mkdir()
+    assert [one.key for one in LatchedCache(tmp_path).read("site")] == ["site/model/room"]
 
 
 def test_a_robot_that_came_from_another_site_does_not_take_its_models_for_this_ones(tmp_path: Path) -> None:

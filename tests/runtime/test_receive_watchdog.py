@@ -232,6 +232,7 @@ from eigenscan.runtime.router import RouterCore, RouterSettings
 
 asked = []
 Bus.is_deaf = property(lambda _: asked.append(1) or len(asked) > 1)
+RouterCore.finish = lambda _: print("finished", flush=True) or ()
 sys.argv[1:] = ["--site", "s", "--robot", "r"]
 node.main(node.Service("tracker", RouterSettings, RouterCore))
 """
@@ -243,4 +244,5 @@ def test_a_deaf_process_ends_in_good_order_with_a_code_of_its_own() -> None:
     )
     assert done.returncode == EXIT_DEAF == 75, done.stderr
     assert "deaf" in done.stdout + done.stderr
-    assert "stopped" in done.stdout + done.stderr
+    assert '"unfinished": false' in done.stderr
+    assert "finished" in done.stdout  # a recorder closes its file

@@ -1,5 +1,6 @@
 """Children are ended in every case: theirs, ours, and when nobody is left to end them."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -49,6 +50,35 @@ def test_a_child_that_dies_is_named_with_its_last_words(tmp_path: Path, make: Ma
         assert process.wait(PATIENCE_S) == 3
         with pytest.raises(ChildDiedError, match=r"(?s)projector ended with exit code 3.*the disk is full"):
             supervisor.check()
+
+
+@pytest.mark.parametrize(("first", "code"), [("Supervisor", 7), ("nobody", 1)])
+def test_a_child_of_a_containers_first_process_runs(
+    tmp_path: Path, make: Make, first: str, code: int
+) -> None:
+    """Its parent's number is 1, as that of a child whose parent has died."""
+    module, own = make("answers", "sys.exit(7)"), {"Supervisor": "1", "nobody": str(os.getpid())}
+    script = (
+        "import os, sys; from eigenscan.cli.launch import child; os.getppid = lambda: 1; "
+        f"sys.argv[1:] = {[own[first], module]}; child.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, timeout=PATIENCE_S, check=False)
+    assert done.returncode == code
+
+
+def test_a_user_with_very_many_pipes_starts_children_too(
+    tmp_path: Path, make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Linux lets a user have 64 large pipes: those of the services of ten robots on one machine."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr("eigenscan.cli.launch.output.fcntl.fcntl", refuse)
+    with Supervisor(tmp_path / "logs") as supervisor:
+        supervisor.start("recorder", make("speaks", "print('viewer: http://here', flush=True)"), [])
+        supervisor.children["recorder"].process.wait(PATIENCE_S)
+        assert _eventually(lambda: supervisor.children["recorder"].output.link == "http://here")
 
 
 def test_a_full_disk_costs_log_lines_and_not_the_child(

@@ -520,6 +520,24 @@ def test_a_clock_that_is_set_back_delays_neither_flush_nor_retry(tmp_path: Path)
     assert sink.counters["mcap_lost"] == 2
 
 
+def test_a_file_that_cannot_be_closed_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """No health comes after the end, which could tell it."""
+    clock = Clock()
+    sink = McapSink(tmp_path / "a.mcap", "s", clock, 0.5, {})
+    sink.write(pose(1))
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, most))  # no file may grow: a full disk
+    try:
+        sink.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    (logged,) = caplog.records
+    assert logged.message == "mcap_not_closed"
+    context = vars(logged)["context"]
+    assert "a.mcap: File too large: free space" in context["detail"]
+    assert context["lost"] == 1
+
+
 def test_on_a_full_disk_each_message_is_in_a_file_or_counted_and_no_empty_files_pile_up(
     tmp_path: Path,
 ) -> None:

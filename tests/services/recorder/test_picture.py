@@ -432,6 +432,26 @@ def test_a_robot_that_publishes_nothing_any_more_is_not_shown_as_well(tmp_path: 
     assert states == [(S, ["LOCALIZED"]), (2 * S, ["SILENT"]), (9 * S, ["LOCALIZED"])]
 
 
+@pytest.mark.parametrize(("ahead", "set_back"), [(2000, 0), (0, 500)])
+def test_a_robot_is_silent_by_one_clock_whatever_another_one_has(
+    tmp_path: Path, ahead: int, set_back: int
+) -> None:
+    """A service whose clock is ahead for once, or this machine's own that is set back, in s."""
+
+    def at(second: int, envelope: Envelope) -> Envelope:
+        return replace(envelope, arrived=(1000 + second) * S)
+
+    def health(second: int, ahead: int = 0) -> Envelope:
+        message = Health(timestamp=stamp((1000 + second + ahead) * S), service="recorder")
+        return at(second, Envelope(HEALTH, ADDRESS | {"service": "recorder", "instance": "0"}, message))
+
+    before = [health(0), at(0, localized(S, [1, 1, 0])), health(1, ahead)]
+    after = [at(1, localized(2 * S, [1, 1, 0])), *(health(second - set_back) for second in range(2, 10))]
+    draw(tmp_path / "a.rrd", [*before, *after])
+    states = rows(tmp_path / "a.rrd", "/state/r1", "StateChange:state")
+    assert states == [(S, ["LOCALIZED"]), (2 * S, ["SILENT"])]
+
+
 def test_a_robot_with_scans_but_without_a_pose_is_shown_as_waiting(tmp_path: Path) -> None:
     """After three seconds: a start that goes well does not show it."""
     scans = [Envelope(SCAN, ADDRESS, Scan(timestamp=stamp(S + k * S // 2))) for k in range(20)]

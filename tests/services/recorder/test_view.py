@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -11,7 +12,10 @@ import time
 import urllib.request
 from pathlib import Path
 
+import psutil
 import pytest
+from eigenscan.recorder.options import RecorderOptions
+from eigenscan.recorder.rerun_sink import RerunSink
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.channels import POSE
 from rerun.chunk import RrdReader
@@ -137,6 +141,38 @@ def test_what_cannot_be_drawn_is_reported_in_one_line(
     assert words in result.stderr
     assert len(result.stderr.splitlines()) == 1
     assert not (tmp_path / "a.rrd").exists()
+
+
+def test_a_viewer_whose_server_has_ended_is_reported(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recorder's health was OK, and `view` waited on, behind a dead link."""
+
+    def end_server(parent: int) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not (children := psutil.Process(parent).children()):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        children[0].kill()
+
+    sink = RerunSink(RecorderOptions(viewer_port=0, data_port=0))
+    assert sink.problem == ""
+    end_server(os.getpid())
+    deadline = time.monotonic() + PATIENCE_S
+    while not sink.problem:
+        assert time.monotonic() < deadline
+    assert sink.problem == "viewer: its server ended with code -9: start it again"
+    sink.close()
+
+    monkeypatch.setenv("BROWSER", "true")  # the command that webbrowser calls
+    with subprocess.Popen(
+        [*EIGENSCAN, str(recording)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("viewer: ")
+        end_server(process.pid)
+        assert "its server ended" in process.communicate(timeout=PATIENCE_S)[1]
+        assert process.returncode == 1
 
 
 def test_the_viewer_is_served_on_this_machine_only_and_ends_with_the_command(

@@ -9,6 +9,7 @@ from eigenscan.geometry.pose import from_pose3, to_message
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_PUBLISHED, ROS_RECEIVED
 from eigenscan.ros_bridge.core import RosBridgeCore
+from eigenscan.ros_bridge.inbound import RECENT, Stamping
 from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import (
@@ -131,6 +132,17 @@ def test_a_driver_that_stamps_scans_when_it_has_them_is_found_out(lag_s: float, 
     assert [each.time_increment for each in found] == pytest.approx([0.05] * 4)
     # a scan that came late, over a slow link, does not change it
     assert [each.stamped_after for each in found[1:]] == pytest.approx([after] * 3)
+
+
+def test_a_drivers_stamps_are_found_out_again_after_a_clock_was_set_back() -> None:
+    """A scan on its way meanwhile is received an hour before its stamp."""
+    stamping, step = Stamping(), 3_600_000_000_000
+    lidar = cdr.decode(cdr.LASER_SCAN, scan(time_increment=0.05))
+    assert stamping.after(lidar, TIME, TIME + 3_000_000) == pytest.approx(0.1)
+    assert stamping.after(lidar, TIME, TIME - step) == 0.0
+    times = [TIME - step + k * 100_000_000 for k in range(RECENT)]
+    after = [stamping.after(lidar, time, time + 3_000_000) for time in times]
+    assert after[-1] == pytest.approx(0.1)
 
 
 def test_a_scan_is_published_with_the_mount_that_tf_gives() -> None:

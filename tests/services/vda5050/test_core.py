@@ -26,6 +26,7 @@ from eigenscan.schemas.tracking_pb2 import (
     Relocation,
     State,
 )
+from eigenscan.vda5050.actions import KEPT
 from eigenscan.vda5050.channels import MQTT_PUBLISHED, MQTT_RECEIVED
 from eigenscan.vda5050.core import Vda5050Core
 from eigenscan.vda5050.settings import Vda5050Settings, Version
@@ -401,6 +402,24 @@ def test_wrong_header_numbers_are_counted_and_no_action_is_lost_or_done_twice(ma
     counters = manager.core.condition().counters
     assert (counters["header_id_not_increasing"], counters["header_id_gaps"]) == (2, 1)
     assert counters["repeated_actions"] == 1
+
+
+@pytest.mark.parametrize("turns", [-1, 0, 1, 2])
+@pytest.mark.parametrize("heading", [-3.0, -0.5, 2.0, math.pi])
+def test_a_heading_is_the_same_one_whatever_turns_a_tracker_counts(turns: int, heading: float) -> None:
+    manager = manager_of("3.0.0")
+    manager.pose(STATE_LOCALIZED, (1.0, 2.0, heading + 2.0 * math.pi * turns))
+    theta = manager.position["theta"]
+    assert -math.pi <= theta <= math.pi
+    assert [math.cos(theta), math.sin(theta)] == pytest.approx([math.cos(heading), math.sin(heading)])
+
+
+def test_an_action_that_has_not_ended_stays_in_the_state_however_many_others_come(manager: Manager) -> None:
+    manager.publish(set_position("p", major=manager.major))
+    for number in range(40):
+        manager.publish({"actionType": "stateRequest", "actionId": str(number), "blockingType": "NONE"})
+    assert manager.action("p")["actionStatus"] == "RUNNING"
+    assert len(manager.state["actionStates" if manager.major == 2 else "instantActionStates"]) == KEPT
 
 
 def test_other_actions_and_orders_are_refused_and_requests_are_answered(manager: Manager) -> None:

@@ -3,6 +3,8 @@
 import time
 from pathlib import Path
 
+import pytest
+from eigenscan.runtime.errors import UsageError
 from eigenscan.workbench.conformance.candidate import KEPT_BYTES, Candidate
 
 LOUD = "import os, sys; [os.write(1, b'x' * 65536) for _ in range(2000)]; os.write(1, b'\\nlast\\n')"
@@ -16,6 +18,14 @@ def test_only_the_end_of_what_it_writes_is_kept() -> None:
         assert loud.last_lines[-1] == "last"
         assert len("".join(loud.last_lines)) <= KEPT_BYTES
         assert loud.obituary == "it ended with code 0: last"
+
+
+def test_a_file_that_is_no_program_is_named_with_the_fix(tmp_path: Path) -> None:
+    script = tmp_path / "my_tracker.py"
+    script.write_text("print('without its first line, which names the interpreter')")
+    script.chmod(0o755)
+    with pytest.raises(UsageError, match=r"my_tracker.py: Exec format error: check the command after --"):
+        Candidate([str(script)], {})
 
 
 def test_what_it_started_ends_with_it(tmp_path: Path) -> None:

@@ -119,8 +119,8 @@ def run(
     folder = out or Path("out") / f"run-{datetime.now():%Y%m%d-%H%M%S}"
     ros2_flags = ["--dialect", ros2, "--ros-router", ros2_router] if ros2 else None
     if map_or_model is None and ros2_flags and "mapbuilder" not in left_out:
-        map_or_model = _take_map(ros2_flags, folder / "map.yaml")
-        ros2_flags += ["--map", ""]  # the robot publishes its own map
+        map_or_model = _take_map([*ros2_flags, *chosen["ros-bridge"]], folder / "map.yaml")
+        chosen["ros-bridge"] += ["--map", ""]  # the robot publishes its own map
     flags, version = _model_flags(map_or_model, method) if map_or_model else ([], "")
     mcap = folder / "mcap"
     pipeline = Pipeline(
@@ -170,14 +170,24 @@ def _model_flags(map_or_model: Path, method: str) -> tuple[list[str], str]:
 
 
 def _take_map(ros2_flags: list[str], path: Path) -> Path:
-    """Writes the robot's own map to `path`. Raises MapError if the robot publishes none."""
+    """Writes the robot's own map to `path`. Raises MapError if the robot publishes none.
+
+    `ros2_flags`: all of the bridge.
+    """
     from eigenscan.geometry.gridmap import write_map
+    from eigenscan.ros_bridge.endpoints import qualified
     from eigenscan.ros_bridge.options import RosBridgeOptions
     from eigenscan.ros_bridge.robot_map import take_map
     from eigenscan.runtime.settings import load
 
-    typer.echo(f"waiting for the robot's /map, at most {MAP_S:.0f} s", err=True)
-    grid = take_map(load(RosBridgeOptions, "ros-bridge", ros2_flags), MAP_S)
+    settings = load(RosBridgeOptions, "ros-bridge", ros2_flags)
+    if not settings.map:  # that the bridge publishes none does not tell where the robot does
+        settings = settings.model_copy(update={"map": RosBridgeOptions.model_fields["map"].default})
+    typer.echo(
+        f"waiting for the robot's {qualified(settings.namespace, settings.map)}, at most {MAP_S:.0f} s",
+        err=True,
+    )
+    grid = take_map(settings, MAP_S)
     write_map(grid, path)
     typer.echo(f"received the map: {path}", err=True)
     return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from dataclasses import replace
 from pathlib import Path
 from shutil import disk_usage
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from eigenscan.recorder.options import RecorderOptions
 
 HOST = "127.0.0.1"
+LOOK_S = 1.0
+"""Between two looks whether the viewer is served, s."""
 LEAST_FREE = 2**20
 """Bytes that a disk has that is not full: Rerun writes more at a time."""
 
@@ -109,7 +112,7 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
             for record in read(recording, begin):
                 if record.log_time > end:
                     break
-                sink.write(record.envelope)
+                sink.write(replace(record.envelope, arrived=record.log_time))
                 moved(max(record.log_time - begin, 0) / max(end - begin, 1))
         sink.close()
     except RuntimeError as error:  # rerun's, which does not always name a full disk
@@ -129,7 +132,10 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
 
 
 def _open(picture: Path, port: int, figures: dict[str, Any], json_file: Path | None) -> None:
-    """Writes the figures with the link, and serves the viewer with `picture` until Ctrl-C."""
+    """Writes the figures with the link, and serves the viewer with `picture` until Ctrl-C.
+
+    Raises FailedError if its server ends before.
+    """
     import time
     import webbrowser
     from contextlib import suppress
@@ -137,11 +143,12 @@ def _open(picture: Path, port: int, figures: dict[str, Any], json_file: Path | N
     from eigenscan.recorder.web_viewer import free_port, serve_viewer
 
     page, data = free_port("--port", HOST, port), free_port("data port", HOST, 0)
-    with serve_viewer(HOST, page, data, picture) as link:
-        write_figures(figures | {"link": link}, json_file)
+    with serve_viewer(HOST, page, data, picture) as viewer:
+        write_figures(figures | {"link": viewer.link}, json_file)
         if wants_words(json_file):
-            typer.echo(f"viewer: {link}\nCtrl-C ends it")
-        webbrowser.open(link)
+            typer.echo(f"viewer: {viewer.link}\nCtrl-C ends it")
+        webbrowser.open(viewer.link)
         with suppress(KeyboardInterrupt):
-            while True:
-                time.sleep(3600)
+            while not viewer.problem:
+                time.sleep(LOOK_S)
+            raise FailedError(viewer.problem)

@@ -65,16 +65,22 @@ class LatchedCache:
         for kept in found:
             self._kept[kept.key].append(kept)
         self._next = found[-1].number + 1 if found else 0
+        self._read: set[tuple[str, str]] = set()
+        """Key and digest of what was read, until its reader puts it."""
 
     def read(self, site: str) -> Iterator[Arrival]:
-        """All samples of a site, oldest first; damaged and foreign files are skipped."""
+        """All samples of a site, oldest first; damaged, unreadable and foreign files are skipped."""
         everything = [kept for history in self._kept.values() for kept in history]
         for kept in sorted(everything, key=lambda kept: kept.number):
             found = find(kept.key)
-            encoding, _, payload = kept.path.read_bytes().partition(b"\n")
+            try:
+                encoding, _, payload = kept.path.read_bytes().partition(b"\n")
+            except OSError:
+                continue
             if found is None or found[1]["site"] != site:
                 continue
             if digest(payload).hex() == kept.digest:
+                self._read.add((kept.key, kept.digest))
                 yield Arrival(found[0], kept.key, payload, encoding.decode(errors="replace"))
 
     def try_out(self) -> bool:
@@ -106,11 +112,15 @@ class LatchedCache:
             if path.name not in (ASIDE, STARTS):
                 path.replace(aside / path.name)
         self._kept.clear()
+        self._read.clear()
         self.prove()
 
     def put(self, sample: Arrival) -> None:
-        """Writes a sample, unless it is already the newest of its key. Raises OSError."""
+        """Writes a sample, unless it was read here or is already the newest of its key. Raises OSError."""
         history, known = self._kept[sample.key], digest(sample.payload).hex()
+        if (sample.key, known) in self._read:  # written again, it would be newer than what came after it
+            self._read.remove((sample.key, known))
+            return
         if history and history[-1].digest == known:
             return
         name = f"{self._next:09d}-{known}-{quote(sample.key, safe='')}"

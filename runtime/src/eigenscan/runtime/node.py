@@ -207,6 +207,7 @@ class Node:
             self._stop.wait(HEALTH_PERIOD_S)
             self.report()
             memory.tend()
+        self.ends.stopping = True  # also where it ends because it is deaf
         stop_s = self.settings.stop_s
         faulthandler.dump_traceback_later(STOP_ALL * stop_s, exit=True)
         try:

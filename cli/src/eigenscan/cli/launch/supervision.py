@@ -64,7 +64,7 @@ class Supervisor:
         """Starts the service `name` from its node `module`."""
         output = Output(self._logs / f"{name}.log", appends=name in self.children)
         process = subprocess.Popen(
-            [sys.executable, "-m", "eigenscan.cli.launch.child", module, *flags],
+            [sys.executable, "-m", "eigenscan.cli.launch.child", str(os.getpid()), module, *flags],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -10,6 +10,7 @@ from time import perf_counter
 from eigenscan.recorder.about import About
 from eigenscan.recorder.core import Sink
 from eigenscan.recorder.files import Files, Limits
+from eigenscan.runtime.logs import logger
 from eigenscan.runtime.recording import STEP_NS, RecordingWriter
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.wire import encode
@@ -133,6 +134,7 @@ class McapSink(Sink):
                 self._settle("mcap_written")
             except Exception as error:
                 self._fail(error, self._clock())
+                logger().error("mcap_not_closed", detail=self._problem, lost=self._counts["mcap_lost"])
             self._writer = None
 
     def _follow_back(self, now: int) -> None:

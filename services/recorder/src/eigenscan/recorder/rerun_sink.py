@@ -10,7 +10,7 @@ import rerun as rr
 from eigenscan.recorder.core import Sink
 from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.picture.drawing import Picture
-from eigenscan.recorder.web_viewer import free_port, serve_viewer
+from eigenscan.recorder.web_viewer import Viewer, free_port, serve_viewer
 from eigenscan.schemas.envelope import Envelope
 
 APPLICATION = "eigenscan"
@@ -20,14 +20,14 @@ waited for: on a busy machine or a slow disk that takes longer."""
 
 
 class RerunSink(Sink):
-    """Draws every message. `url` is the page to open, empty without a live viewer."""
+    """Draws every message."""
 
     def __init__(self, settings: RecorderOptions) -> None:
         """Opens files and ports. Raises SettingsError or OSError that names the unavailable one."""
         self._counts: Counter[str] = Counter(drawn=0)
         self._closing = ExitStack()
         self._stream = rr.RecordingStream(APPLICATION)
-        self.url = ""
+        self._viewer: Viewer | None = None
         sinks: list[rr.FileSink | rr.GrpcServerSink] = []
         if settings.rrd is not None:
             settings.rrd.parent.mkdir(parents=True, exist_ok=True)
@@ -44,6 +44,16 @@ class RerunSink(Sink):
             live=settings.viewer_port is not None,
             draw_all=settings.draw_all,
         )
+
+    @property
+    def url(self) -> str:
+        """The page to open; empty without a live viewer."""
+        return self._viewer.link if self._viewer else ""
+
+    @property
+    def problem(self) -> str:
+        """That the live viewer's server has ended."""
+        return self._viewer.problem if self._viewer else ""
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -74,7 +84,7 @@ class RerunSink(Sink):
         host = settings.viewer_host
         data = free_port("data_port", host, settings.data_port)
         page = free_port("viewer_port", host, page_port)
-        self.url = self._closing.enter_context(serve_viewer(host, page, data))
+        self._viewer = self._closing.enter_context(serve_viewer(host, page, data))
         return rr.GrpcServerSink(
             host,
             data,

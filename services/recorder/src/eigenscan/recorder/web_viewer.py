@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from urllib.parse import quote
@@ -38,9 +39,23 @@ def free_port(field: str, host: str, port: int) -> int:
         return int(probe.getsockname()[1])
 
 
+@dataclass(frozen=True)
+class Viewer:
+    """A viewer's server. `link`: to the picture."""
+
+    link: str
+    server: subprocess.Popen[bytes]
+
+    @property
+    def problem(self) -> str:
+        """Why the link is dead; empty while it is served."""
+        code = self.server.poll()
+        return "" if code is None else f"viewer: its server ended with code {code}: start it again"
+
+
 @contextmanager
-def serve_viewer(host: str, page_port: int, data_port: int, picture: Path | None = None) -> Iterator[str]:
-    """Serves the viewer's page while the context lasts; yields the link to the picture.
+def serve_viewer(host: str, page_port: int, data_port: int, picture: Path | None = None) -> Iterator[Viewer]:
+    """Serves the viewer's page while the context lasts.
 
     The page takes its data from `data_port` of the same host: from another server there, or from `picture`, a
     .rrd file, which is then served there.
@@ -60,7 +75,7 @@ def serve_viewer(host: str, page_port: int, data_port: int, picture: Path | None
             stderr=subprocess.DEVNULL,
         )
         try:
-            yield f"http://{seen_at}:{page_port}/?url={quote(source, safe='')}"
+            yield Viewer(f"http://{seen_at}:{page_port}/?url={quote(source, safe='')}", child)
         finally:
             child.terminate()
             try:

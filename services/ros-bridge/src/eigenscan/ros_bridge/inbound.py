@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import defaultdict, deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,6 +24,8 @@ OCCUPIED_FROM, FREE_BELOW = 65, 20
 """%, as map_server's defaults (occupied_thresh 0.65, free_thresh 0.196); between them nothing is known."""
 _SHORTEST = 1e-6
 """Least norm of a quaternion: some ROS nodes publish zeros for an unknown orientation."""
+RECENT = 100
+"""Scans: ten seconds of a usual lidar, longer than a busy machine delays all of them."""
 _PLANAR = np.array([0, 1, 5])
 """x, y and yaw among ROS's x, y, z, roll, pitch, yaw."""
 
@@ -32,17 +35,19 @@ class Stamping:
 
     A scan can't be received before its last beam was measured. Where one was received within half a sweep of
     its stamp, the stamp is not that of the first beam: so do drivers of SICK, Hokuyo and SLAMTEC lidars
-    (benchmarks/deskew.py). Clocks of two machines may differ by more; then the stamp is believed.
+    (benchmarks/deskew.py). Clocks of two machines may differ by more; then the stamp is believed. A clock may
+    be set, so only the RECENT scans of a frame count.
     """
 
     def __init__(self) -> None:
-        self._soonest: dict[str, int] = {}
-        """By frame, ns from a scan's stamp to when it was received, at least."""
+        self._lags: defaultdict[str, deque[int]] = defaultdict(lambda: deque(maxlen=RECENT))
+        """By frame, ns from a scan's stamp to when it was received."""
 
     def after(self, body: Any, time: int, received: int) -> float:
         """Time, s, from the first beam of a LaserScan to its stamp, `time`; it was `received`, both in ns."""
-        frame, lag = body.header.frame_id, received - time
-        soonest = self._soonest[frame] = min(lag, self._soonest.get(frame, lag))
+        lags = self._lags[body.header.frame_id]
+        lags.append(received - time)
+        soonest = min(lags)
         sweep = (len(body.ranges) - 1) * abs(float(body.time_increment))
         return sweep if 2e-9 * abs(soonest) < sweep else 0.0
 

@@ -90,8 +90,9 @@ class Actions:
             for other in self.setting:
                 other.end("FAILED", f"replaced by {action.name}")
         self._all[action.name] = action
-        while len(self._all) > KEPT:
-            self._all.popitem(last=False)
+        ended = [name for name, one in self._all.items() if not one.is_open]
+        for name in ended[: max(len(self._all) - KEPT, 0)]:
+            del self._all[name]
 
     @property
     def setting(self) -> list[Action]:

@@ -6,6 +6,7 @@ import json
 import ssl
 import sys
 from collections import Counter
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
@@ -35,6 +36,8 @@ RECONNECT_S = (1, 10)
 MOST_BYTES = 262_144
 """Largest message that is read."""
 CLOSE_S = 0.5
+NO_ACCESS = (134, 135)
+"""Reason codes (MQTT 5, 2.4): bad user name or password; not authorized."""
 OTHER_NAME = (62, 64)
 """OpenSSL's codes where the certificate is for another host name or address."""
 
@@ -48,7 +51,7 @@ class MqttPort:
         self._options = options
         self._inbox: Inbox | None = None
         self._numbers: Counter[str] = Counter()
-        self._connected = False
+        self._connected = self._refused = False
         broken = {2: "CONNECTIONBROKEN", 3: "CONNECTION_BROKEN"}[options.major]
         self._client = Client(CallbackAPIVersion.VERSION2, client_id=f"eigenscan-{options.serial}")
         if not options.only_visualization:
@@ -86,7 +89,8 @@ class MqttPort:
             last = self._client.publish(
                 self._topic(CONNECTION), self._connection("OFFLINE"), qos=1, retain=True
             )
-            last.wait_for_publish(CLOSE_S)
+            with suppress(RuntimeError):  # the connection ended just now
+                last.wait_for_publish(CLOSE_S)
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -127,8 +131,10 @@ class MqttPort:
         self._inbox.put(MQTT_RECEIVED, key, encode(BytesValue(value=data)), encoding(MQTT_RECEIVED))
 
     def _on_connect(self, client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        self._refused = reason.is_failure
         if reason.is_failure:
-            self._report(f"refuses: {reason}")
+            fix = ": check username and password_file" if reason.value in NO_ACCESS else ""
+            self._report(f"refuses: {reason}{fix}")
             return
         self._connected = True
         if not self._options.only_visualization:
@@ -141,6 +147,9 @@ class MqttPort:
         self._report(f"{self._options.broker} cannot be reached: {_cause(error)}")
 
     def _on_disconnect(self, _client: Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        refused, self._refused = self._refused, False
+        if refused:  # the reason was reported
+            return
         fix = "" if self._connected or self._options.address[2] else ": mqtts://, if the broker speaks TLS"
         self._report(f"connection lost: {reason}{fix}")
 

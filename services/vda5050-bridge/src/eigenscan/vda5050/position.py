@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from eigenscan.geometry.circle import wrap
 from eigenscan.geometry.pose import Array, compose, covariance_from_message, from_message
 from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
@@ -62,7 +63,7 @@ def position(estimate: PoseEstimate | None, maps: Maps, localized: bool, major: 
     fields: dict[str, Any] = {
         "x": float(pose[0]),
         "y": float(pose[1]),
-        "theta": max(-math.pi, min(math.pi, float(pose[2]))),
+        "theta": float(wrap(pose[2])),
         "mapId": estimate.floor or maps.own,
         "positionInitialized" if major == 2 else "localized": localized,
     }

@@ -33,14 +33,17 @@ class Candidate:
         if not shutil.which(words[0]):
             raise UsageError(f"{words[0]}: is no program that can be started: check the command after --")
         own = {f"EIGENSCAN_{name.upper()}": value for name, value in places.items()}
-        self._process = subprocess.Popen(
-            words,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            env=os.environ | own,
-        )
+        try:
+            self._process = subprocess.Popen(
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env=os.environ | own,
+            )
+        except OSError as error:  # a script without its first line
+            raise UsageError(f"{words[0]}: {error.strerror}: check the command after --") from error
         self._written = bytearray()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()

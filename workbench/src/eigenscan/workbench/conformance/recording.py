@@ -53,7 +53,7 @@ def judge_whole(folder: Path, published: Sequence[Published]) -> list[Check]:
         check(
             "form",
             CLAUSE,
-            list(_malformed(whole, published)),
+            [*_malformed(whole, published), *_undecodable(whole, published)],
             "key, schema, descriptors and contract version",
         ),
         check(
@@ -129,6 +129,19 @@ def _malformed(whole: Sequence[Raw], published: Sequence[Published]) -> Iterator
             yield f"{channel.topic}: the channel's metadata has no contract = {CONTRACT_VERSION}"
 
 
+def _undecodable(whole: Sequence[Raw], published: Sequence[Published]) -> Iterator[str]:
+    """Keys with a sample that was to be counted, not kept."""
+    channels = {one.envelope.key: one.envelope.channel for one in published}
+    for _, channel, message in whole:
+        own = channels.get(channel.topic)
+        try:
+            if own is not None:
+                decode(own, message.data)
+        except ContractError as error:
+            del channels[channel.topic]
+            yield f"{channel.topic}: keeps a sample that is to be counted only: {error}"
+
+
 def _described(data: bytes) -> set[str]:
     try:
         files = FileDescriptorSet.FromString(data).file
@@ -147,7 +160,10 @@ def _untimely(whole: Sequence[Raw], published: Sequence[Published]) -> Iterator[
         if not first <= message.log_time <= last:
             yield f"{channel.topic}: log time {message.log_time} is not that of the arrival"
             return
-        stamp = nanoseconds(decode(own, message.data).timestamp)  # type: ignore[attr-defined]
+        try:
+            stamp = nanoseconds(decode(own, message.data).timestamp)  # type: ignore[attr-defined]
+        except ContractError:  # `_undecodable` reports it
+            continue
         if stamp > 0 and message.publish_time != stamp:
             yield f"{channel.topic}: publish time {message.publish_time}, the stamp is {stamp}"
             return

@@ -63,15 +63,20 @@ class StatusBoard:
         stamp = stamp_of(message.timestamp)
         if stamp is None:
             return
-        self._received_at[robot] = self._now
+        self._received_at[robot] = received.arrived or self._now
         self._update(stamp, _line(robot, message))
 
     def receive_health(self, received: Envelope) -> None:
-        """Takes the services' clock: while it goes on, a robot without poses is silent, not well."""
+        """Goes by the arrival of health: while that goes on, a robot without poses is silent, not well.
+
+        Where no arrival is known, it goes by the services' clock.
+        """
         stamp = stamp_of(received.open(Health).timestamp)
-        self._now = max(self._now, stamp or 0)
+        self._now = received.arrived or max(self._now, stamp or 0)
         for robot, received_at in self._received_at.items():
-            if received_at and self._now - received_at > SILENT_NS:
+            if received_at > self._now:  # the clock was set back
+                self._received_at[robot] = self._now
+            elif received_at and self._now - received_at > SILENT_NS:
                 self._received_at[robot] = 0
                 self._update(self._canvas.newest, _described(robot, SILENCE, SILENT))
 
