@@ -29,7 +29,7 @@ And how likely the best is that scans of another building get on this map: a rob
 
 And of the lists that have the right place, one each half metre: how often their best place is the right one,
 by how many nats it is ahead of the next. Beside it how likely that is by the likelihoods, and by the tracker,
-which a clear lead makes surer.
+to which what is ahead is likelier by as much again.
 
 The datasets are not part of the project; by default they are looked for beside it.
 """
@@ -51,7 +51,6 @@ from eigenscan.geometry.gridmap import write_map
 from eigenscan.geometry.pose import between, compose
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.schemas.channels import SCAN_RAW
-from eigenscan.tracker import evidence
 from eigenscan.tracker.belief import MISSES
 from eigenscan.tracker.continuity import BY_CHANCE, COMPARED, LEAST, NEAR_M, goes_on
 from eigenscan.tracker.covariance import mahalanobis_squared, residual
@@ -380,8 +379,7 @@ def stated(scan: Answer) -> tuple[float, bool, float, float]:
         found.append(left[k])
         left[scan.near(scan.poses[k])] = -np.inf
     lead, others = found[0] - max(found[1:], default=0.0), np.logaddexp.reduce([*found[1:], 0.0]) - found[0]
-    surer = min(evidence.SURER * max(lead - evidence.AHEAD, 0.0), MOST)
-    alone, tracker = (float(1.0 / (1.0 + np.exp(others - more))) for more in (0.0, surer))
+    alone, tracker = (float(1.0 / (1.0 + np.exp(others - more))) for more in (0.0, min(lead, MOST)))
     return float(lead), bool(scan.near(scan.truth)[best]), alone, tracker
 
 

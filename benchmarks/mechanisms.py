@@ -208,7 +208,6 @@ MECHANISMS: Mapping[str, Patches] = {
     "as it is": (),
     "how far ahead": ((evidence, "LEAD", 0.0),),
     "how far behind": ((evidence, "BEHIND", 0.0),),
-    "a clear lead makes surer": ((evidence, "SURER", 0.0),),
     "aliases": ((evidence, "ALIASES", 1e-12),),
     "places ahead together": ((evidence, "TOGETHER", 0.0),),
     "one turn shows a place": ((robot._Source, "new_turn", lambda _, moved, *__: moved.turn),),

@@ -18,7 +18,6 @@ from eigenscan.tracker.covariance import (
     residual,
 )
 from eigenscan.tracker.evidence import (
-    AHEAD,
     ALIASES,
     ALIKE_M,
     BEHIND,
@@ -34,7 +33,6 @@ from eigenscan.tracker.evidence import (
     SLIP_RAD,
     SLIP_SHARE,
     SLIPS,
-    SURER,
     TAIL,
     TOGETHER,
 )
@@ -281,8 +279,7 @@ class Merit:
         # that a poor fit may be of more poses makes the place no likelier
         spread = 1.5 * poorness(seen.log_likelihoods)
         predicted = np.where(lead > 0.0, LEAD, BEHIND) * lead + together(seen)
-        surer = (SURER * (lead - AHEAD)).clip(0.0, MOST)
-        return cls(seen.log_likelihoods + surer - spread, predicted.clip(-MOST, MOST))
+        return cls(seen.log_likelihoods + lead.clip(0.0, MOST) - spread, predicted.clip(-MOST, MOST))
 
     def of_pairs(self, pairs: Pairs) -> Array:
         """What each pair (p,) of a track and a hypothesis in its gate is worth.

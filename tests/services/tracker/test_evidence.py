@@ -42,7 +42,6 @@ LEAD = 0.8
 BEHIND = 0.4
 TOGETHER = 0.4
 MOST = 5.0
-AHEAD, SURER = 2.0, 2.0
 SLIP_M = 0.1
 SLIP_RAD = 0.1
 SLIP_SHARE = 1.0
@@ -82,7 +81,7 @@ def test_the_best_is_worth_what_it_is_ahead_of_other_places() -> None:
     seen = listed([[1, 1, 0], [1.2, 1, 0.05], [6, 1, 0], [6, 4, 0]], [15.0, 14.0, 12.0, 11.0])
     merit = Merit.of(seen)
     # its neighbour is of the same place, and ahead of the next one by less
-    np.testing.assert_allclose(merit.alone, [15.0 + SURER * (3.0 - AHEAD), 14.0, 12.0, 11.0 - 1.5 * 0.25])
+    np.testing.assert_allclose(merit.alone, [15.0 + 3.0, 14.0 + 2.0, 12.0, 11.0 - 1.5 * 0.25])
     # to a track that had predicted it: the others by what they are behind the best
     np.testing.assert_allclose(merit.predicted, [3.0 * LEAD, 2.0 * LEAD, -3.0 * BEHIND, -4.0 * BEHIND])
 
@@ -130,8 +129,8 @@ def test_a_poor_fit_makes_its_place_no_likelier() -> None:
     for L in (3.0, 9.0, 14.0):
         wider = R * np.exp(poorness(np.array([L])))[0]
         mass = Merit.of(listed([[1, 1, 0]], [L])).alone[0] + 0.5 * np.log(np.linalg.det(wider))
-        surer = min(SURER * (L - AHEAD), MOST)
-        assert mass == pytest.approx(L + surer + 0.5 * np.log(np.linalg.det(R)))
+        lead = min(L, MOST)
+        assert mass == pytest.approx(L + lead + 0.5 * np.log(np.linalg.det(R)))
 
 
 def test_an_empty_list_is_worth_nothing() -> None:

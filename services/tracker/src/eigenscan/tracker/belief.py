@@ -222,6 +222,4 @@ def _constants(off_map_share: float, missed: float) -> Constants:
         CARRIED_SHARE,
         evidence.ALIKE_M,
         evidence.TOGETHER,
-        evidence.AHEAD,
-        evidence.SURER,
     )

@@ -41,12 +41,7 @@ yet for both against a track that the list does not show. With as much as LEAD, 
 (benchmarks/mechanisms.py --fault "an invented room").
 """
 
-AHEAD, SURER = 2.0, 2.0
-"""A place is likelier by SURER for each nat that it is more than AHEAD nats ahead of the next; at most MOST.
 
-The likelihoods alone state well how often the best of a list is right where it is ahead by less. Where it is
-ahead by more, it is right more often: benchmarks/evidence.py, the table of best places.
-"""
 NEAR_M, NEAR_RAD = 0.5, float(np.radians(10.0))
 """Poses this near to each other are of one place."""
 ALIKE_M = 3.0
@@ -108,8 +103,6 @@ class Constants(NamedTuple):
     carried_share: float
     alike_m: float
     together: float
-    ahead: float
-    surer: float
 
 
 class Scan(NamedTuple):
@@ -170,16 +163,15 @@ def _likelihood_at(pose: Array, poses: Array, log_likelihoods: Array) -> float:
 def listed(poses: Array, covariances: Array, log_likelihoods: Array, unlisted: float, c: Constants) -> Listed:
     """What hypotheses are worth; those that are no likelier than an unlisted pose are left out.
 
-    alone = L + what a lead makes the place surer by - ln(how much larger a poor fit's volume is): that it may
-    be of more poses makes the place no likelier. predicted = LEAD or BEHIND times lead. Aliases follow from
-    their share by Bayes' rule.
+    alone = L + lead, where ahead, - ln(how much larger a poor fit's volume is): that it may be of more poses
+    makes the place no likelier. predicted = LEAD or BEHIND times lead. Aliases follow from their share by
+    Bayes' rule.
     """
     kept = np.flatnonzero(log_likelihoods > unlisted + 1e-9)
     y, R, L = poses[kept], covariances[kept], log_likelihoods[kept]
     place, best = places(y, L)
     lead = leads(place, L, best, unlisted)
-    surer = np.minimum(c.surer * np.maximum(lead - c.ahead, 0.0), c.most)
-    alone = L + surer - 1.5 * poorness_each(L, c.poorer)
+    alone = L + np.minimum(np.maximum(lead, 0.0), c.most) - 1.5 * poorness_each(L, c.poorer)
     predicted = np.where(lead > 0.0, c.lead, c.behind) * lead + together(best, c)[place]
     predicted = np.minimum(np.maximum(predicted, -c.most), c.most)
     alias = 1.0 / (1.0 + np.exp(-(np.log(c.aliases / (1.0 - c.aliases)) + predicted)))
