@@ -142,7 +142,7 @@ def read_map(path: Path) -> GridMap:
         where = "" if mark is None else f", line {mark.line + 1}"
         raise MapError(f"{path}{where}: is no map_server yaml: give the yaml that names the image") from error
     if not isinstance(meta, dict):
-        raise MapError(f"{path}: is no map_server file: expected image, resolution, origin")
+        raise MapError(f"{path}: is no map_server yaml: expected image, resolution, origin")
     resolution = _number(path, meta, "resolution", None)
     if not FINEST_M <= resolution <= COARSEST_M:
         raise MapError(f"{path}: resolution = {resolution}: give metres per pixel, such as 0.05")
