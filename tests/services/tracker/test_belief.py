@@ -514,7 +514,7 @@ def first_lists(*lists: tuple[str, list[float]]) -> Belief:
     return belief
 
 
-@given(st.lists(st.floats(14.0, 22.0), min_size=4, max_size=4))
+@given(st.lists(st.floats(16.0, 20.0), min_size=4, max_size=4))  # of more, one is too unlikely to be kept
 def test_it_does_not_matter_which_lidar_was_first(found: list[float]) -> None:
     front, rear = ("front", found[:2]), ("rear", found[2:])
     odds = []
@@ -522,7 +522,7 @@ def test_it_does_not_matter_which_lidar_was_first(found: list[float]) -> None:
         tracks = first_lists(*lists).tracks
         masses = [tracks.log_weight[np.hypot(*(tracks.x - at)[:, :2].T) < 0.5].max() for at in PLACES]
         odds.append(masses[0] - masses[1])
-    assert odds[0] == pytest.approx(odds[1], abs=0.3)
+    assert odds[0] == pytest.approx(odds[1], abs=1e-5)
 
 
 def test_what_one_lidar_shows_may_be_hidden_from_another_from_the_start() -> None:
