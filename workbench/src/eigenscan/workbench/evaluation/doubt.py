@@ -45,7 +45,8 @@ class Walls:
         """The same (n,) from poses (n, 3)."""
         ranges = np.asarray(scan.ranges, dtype=np.float64)
         angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-        seen = np.isfinite(ranges) & (ranges > 0)
+        farthest = scan.range_max or np.inf  # 0: not stated
+        seen = np.isfinite(ranges) & (ranges > 0) & (ranges < farthest)
         if np.count_nonzero(seen) < LEAST_RETURNS:
             return np.full(len(bases), np.nan)
         points = ranges[seen, None] * np.column_stack([np.cos(angles[seen]), np.sin(angles[seen])])
