@@ -21,6 +21,8 @@ FARTHEST = 1e5  # m; a larger range or limit counts as none
 
 FARTHEST_MOUNT = 100.0  # m of a lidar from its robot's base, at most: no robot is as large
 
+MOST_BEAMS = 16_384
+"""Of a scan: no lidar has more."""
 LEAST_APART = 32
 """Beams with a range from which on their spacing is no chance: one in 2^31 that all are even or all odd."""
 

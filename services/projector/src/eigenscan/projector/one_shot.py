@@ -14,6 +14,7 @@ from eigenscan.geometry.message_floats import floats_of
 from eigenscan.geometry.normalize import (
     FARTHEST_MOUNT,
     FAULTS,
+    MOST_BEAMS,
     ScanError,
     Sweep,
     limit,
@@ -37,8 +38,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-MOST_BEAMS = 16_384
-"""Most beams of a scan, as scan-ingest has it: no lidar has more."""
 REACH = 3.0
 """Largest distance from the base to the sensor, m: regions this far outside of the allowed ones are searched
 too."""

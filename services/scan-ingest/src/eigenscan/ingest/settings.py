@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from eigenscan.geometry.normalize import MOST_BEAMS
 from eigenscan.schemas.channels import is_chunk
 from eigenscan.schemas.settings import Settings
 from pydantic import ConfigDict, Field, field_validator, model_validator
@@ -50,7 +51,7 @@ class ScanIngestSettings(Settings):
         description="where each lidar (or *) sits on the robot, in place of the driver's mount; JSON, m "
         'and degrees: {"front": {"x": 0.2, "yaw": 180, "upside_down": true}}',
     )
-    max_beams: int = Field(16_384, ge=2, le=1_000_000, description="scans with more beams are rejected")
+    max_beams: int = Field(MOST_BEAMS, ge=2, le=1_000_000, description="scans with more beams are rejected")
     clock_step_scans: int = Field(
         10,
         ge=2,
