@@ -93,8 +93,8 @@ def _stem(log: Path) -> str:
 def _write(log: Log, target: Path, mounts: Collection[str]) -> Summary:
     """Writes beside `target` and moves it there when it is whole."""
     from eigenscan.runtime.recording import RecordingWriter
-    from eigenscan.runtime.whole import whole
     from eigenscan.schemas.channels import SCAN_RAW
+    from eigenscan.schemas.whole import whole
     from eigenscan.workbench.logs.summary import Summary
     from eigenscan.workbench.progress import Bars
 

@@ -229,7 +229,7 @@ def _write_truth(stage: Stage, path: Path) -> None:
 
 def _record(fleet: Fleet, path: Path, about: dict[str, str]) -> None:
     from eigenscan.runtime.recording import RecordingWriter
-    from eigenscan.runtime.whole import whole
+    from eigenscan.schemas.whole import whole
 
     with whole(path) as part, RecordingWriter(part, {"simulation": about}) as writer:
         for timed in _watched(fleet):

@@ -71,7 +71,7 @@ def view(
         raise UsageError("nothing to do: give --rrd FILE.rrd, or leave --no-open out")
     from eigenscan.recorder.options import RecorderOptions
     from eigenscan.recorder.web_viewer import free_port
-    from eigenscan.runtime.whole import whole
+    from eigenscan.schemas.whole import whole
 
     prepare(json_file)
     if is_opened:  # a port that is taken is an error before a long recording is drawn
@@ -94,7 +94,7 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
     """Draws the part of a recording between two moments, with a progress bar."""
     from eigenscan.recorder.rerun_sink import RerunSink
     from eigenscan.runtime.recording import contents, read
-    from eigenscan.runtime.whole import PART
+    from eigenscan.schemas.whole import PART
     from eigenscan.workbench.progress import Bars
 
     found = contents(recording)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from eigenscan.geometry.pose import from_pose3, inverse, to_pose3, transform
+from eigenscan.schemas.whole import whole
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.Vector2_pb2 import Vector2
@@ -309,15 +310,9 @@ def write_map(grid: GridMap, path: Path) -> None:
         "occupied_thresh": 0.65,
         "free_thresh": 0.196,
     }
-    parts = [file.with_name(f"{file.name}.part") for file in (image, path)]
-    try:
-        Image.fromarray(grey[::-1]).save(parts[0], format="PPM")
-        parts[1].write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
-        parts[0].replace(image)
-        parts[1].replace(path)
-    finally:
-        for part in parts:
-            part.unlink(missing_ok=True)
+    with whole(path) as text, whole(image) as picture:
+        Image.fromarray(grey[::-1]).save(picture, format="PPM")
+        text.write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
 
 
 def to_message(grid: GridMap, frame_id: str) -> Grid:

@@ -12,7 +12,7 @@ from typing import IO, cast
 
 from eigenscan.runtime.recording import DAMAGE, PROFILE, RecordingError, WholeReads, message_count
 from eigenscan.runtime.recording.files import refuse_bomb
-from eigenscan.runtime.whole import whole
+from eigenscan.schemas.whole import whole
 from mcap.exceptions import EndOfFile, InvalidMagic
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk

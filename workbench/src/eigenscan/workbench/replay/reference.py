@@ -13,6 +13,7 @@ from pathlib import Path
 from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.recording import RecordingWriter, read, read_metadata
 from eigenscan.schemas.channels import Channel
+from eigenscan.schemas.whole import whole
 from eigenscan.workbench.replay.playing import Event, Side
 from eigenscan.workbench.replay.services import CHOICES, PARTS
 
@@ -68,8 +69,6 @@ def write_beside(recording: Path, parts: Mapping[str, Iterable[Event]]) -> int:
 
     The old one stays until all is written.
     """
-    path = path_beside(recording)
-    fresh = path.with_suffix(".part")
     metadata = {
         _RECORD: {
             "recording_sha256": _digest(recording),
@@ -78,15 +77,11 @@ def write_beside(recording: Path, parts: Mapping[str, Iterable[Event]]) -> int:
         }
     }
     count = 0
-    try:
-        with RecordingWriter(fresh, metadata) as writer:
-            for event in chain.from_iterable(parts.values()):
-                if event.side is Side.REPLAYED:
-                    writer.write(event.envelope, event.time)
-                    count += 1
-        fresh.replace(path)
-    finally:
-        fresh.unlink(missing_ok=True)
+    with whole(path_beside(recording)) as fresh, RecordingWriter(fresh, metadata) as writer:
+        for event in chain.from_iterable(parts.values()):
+            if event.side is Side.REPLAYED:
+                writer.write(event.envelope, event.time)
+                count += 1
     return count
 
 

@@ -10,9 +10,9 @@ from errno import EIO
 from pathlib import Path
 
 from eigenscan.runtime.recording import RecordingWriter
-from eigenscan.runtime.whole import whole
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.whole import whole
 from eigenscan.workbench.replay.casting import Changes, Instance, cast
 from eigenscan.workbench.replay.comparison import Comparison, Terms
 from eigenscan.workbench.replay.playing import Event, Side, play
