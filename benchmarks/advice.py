@@ -38,10 +38,10 @@ from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import build_site
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.advice_pb2 import Advice
 from eigenscan.schemas.channels import ADVICE, ODOMETRY, POSE, SCAN_RAW, TRACKS
 from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate, Track, Tracks
 from eigenscan.tracker.core import TrackerCore

@@ -29,9 +29,9 @@ from eigenscan.projector.observation import observe
 from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import Site
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import POSE, SCAN, SCAN_RAW, TRUTH
 from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore

@@ -27,10 +27,10 @@ from eigenscan.geometry.pose import from_message
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.runtime.choices import Choices
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.workbench.evaluation.chosen import SERVICES, PipelineSettings, chosen

@@ -39,10 +39,10 @@ from eigenscan.mapbuilder.floors import name_by_floor, stack
 from eigenscan.mapbuilder.site import Plan, build_site, lay_out
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL_SET, ODOMETRY, POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore

@@ -33,10 +33,10 @@ from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.envelope import Condition, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker import (
     agreement,

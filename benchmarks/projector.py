@@ -37,10 +37,10 @@ from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.observation import observe
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.warm_up import warm_up
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, SCAN, SEARCH
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, SEARCH_WHOLE, Hypotheses, SearchRequest
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.wire import decode, encode
 from eigenscan.tracker.core import TrackerCore

@@ -25,10 +25,10 @@ from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.recorder.picture.palette import HYPOTHESIS, SCAN, STATE_COLOURS, Colour, state_name
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas import hypotheses_pb2, scan_pb2
 from eigenscan.schemas.channels import HYPOTHESES, POSE, TRACKS
 from eigenscan.schemas.channels import SCAN as SCANS
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.tracking_pb2 import STATE_AMBIGUOUS, STATE_LOCALIZED, PoseEstimate, State, Tracks
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings

@@ -23,10 +23,10 @@ from eigenscan.localize import Estimate, Localizer, Scan, ScanError, read_log
 from eigenscan.mapbuilder.core import announce_models
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, MAP, ODOMETRY, POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings

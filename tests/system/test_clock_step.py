@@ -15,9 +15,9 @@ from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.mapbuilder.core import announce_models
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import MAP, ODOMETRY, POSE, SCAN_RAW
 from eigenscan.schemas.envelope import Core, Envelope, nanoseconds, stamp
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings

@@ -16,10 +16,10 @@ from eigenscan.mapbuilder.picture import _colour, draw_regions
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.shards import shards
 from eigenscan.mapbuilder.site import Plan, build_site, lay_out
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas import model_pb2
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.loopback import Loopback
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from PIL import Image
 from pydantic import ValidationError

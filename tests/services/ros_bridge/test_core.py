@@ -11,7 +11,6 @@ from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_PUBLISHED
 from eigenscan.ros_bridge.core import RosBridgeCore
 from eigenscan.ros_bridge.inbound import RECENT, Stamping
 from eigenscan.ros_bridge.options import RosBridgeOptions
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import (
     HEALTH,
     MAP,
@@ -25,6 +24,7 @@ from eigenscan.schemas.channels import (
 )
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import (
     STATE_AMBIGUOUS,

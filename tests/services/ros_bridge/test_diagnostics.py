@@ -8,10 +8,10 @@ import pytest
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.channels import ROS_PUBLISHED
 from eigenscan.ros_bridge.core import RosBridgeCore
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HEALTH, POSE
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.tracking_pb2 import (
     STATE_AMBIGUOUS,
     STATE_LOCALIZED,

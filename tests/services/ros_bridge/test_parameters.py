@@ -15,10 +15,10 @@ from eigenscan.ros_bridge.service_types import (
     LIST_PARAMETERS,
     SET_PARAMETERS,
 )
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HEALTH, RELOCATION, TRANSFORM
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.tracking_pb2 import Relocation
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 

@@ -17,9 +17,9 @@ from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings
 from eigenscan.workbench.one_thread import THREADS

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 from eigenscan.projector.options import ProjectorOptions
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN, Channel
 from eigenscan.schemas.envelope import Condition, Core, Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.tracker.options import TrackerOptions

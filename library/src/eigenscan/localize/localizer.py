@@ -59,7 +59,7 @@ class Localizer:
         site.check_method(method)
         self.site = site
         self._method = method
-        settings = ProjectorSettings.model_validate(of_service(method, "projector"))
+        settings = ProjectorSettings.model_validate({"advice": False} | of_service(method, "projector"))
         self._projector = ProjectorCore(settings)
         self._projector_receives(site)
         self._session: Session | None = None

@@ -1,9 +1,7 @@
-"""One robot's drive: the cores that know its past, and which of their messages goes to which."""
+"""One robot's drive: the cores that know its past."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +11,9 @@ from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.localize.scan import Scan, ScanError, taken
 from eigenscan.projector.core import ProjectorCore
-from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, MODEL_SET, ODOMETRY, POSE, TRACKS
-from eigenscan.schemas.envelope import Core, Envelope, stamp
+from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, MODEL_SET, ODOMETRY, POSE
+from eigenscan.schemas.envelope import Envelope, stamp
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.methods import of_service
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
@@ -32,7 +31,7 @@ class Session:
     def __init__(self, method: str, site: SiteModel, projector: ProjectorCore) -> None:
         self._ingest, self._projector = ScanIngestCore(ScanIngestSettings()), projector
         projector.forget_robots()
-        self._tracker = _new_tracker(method, site)
+        self._loop = Loopback([projector, _new_tracker(method, site)])
         self._newest: dict[str, int] = {}
         """Stamp of each lidar's latest scan, ns."""
 
@@ -48,25 +47,12 @@ class Session:
         if odometry is not None:
             message = Odometry(timestamp=stamp(scan.stamp), pose=to_pose3(odometry))
             received.insert(0, Envelope(ODOMETRY, _ROBOT, message))
-        published = self._spread(received)
-        # nothing else comes that a scan or its hypotheses could wait for
-        for core in (self._projector, self._tracker):
-            published += self._spread(core.finish())
+        published = [each for one in received for each in self._loop.receive(one)]
+        published += self._loop.finish()  # nothing else comes that a scan or its hypotheses could wait for
         estimates = [each.open(PoseEstimate) for each in published if each.channel is POSE]
         if not estimates:
             raise ScanError(f"the projector set the scan aside: {self._projector.condition().detail}")
         return estimates[-1]
-
-    def _spread(self, envelopes: Iterable[Envelope]) -> list[Envelope]:
-        """Gives each message to the cores that it is for; returns all messages."""
-        spread, waiting = list[Envelope](), deque(envelopes)
-        cores: tuple[Core, ...] = (self._projector, self._tracker)
-        while waiting:
-            spread.append(envelope := waiting.popleft())
-            for core in cores:
-                if envelope.channel in core.inputs and envelope.channel is not TRACKS:  # nobody wants advice
-                    waiting.extend(core.handle(envelope))
-        return spread
 
 
 def _new_tracker(method: str, site: SiteModel) -> TrackerCore:

@@ -21,11 +21,11 @@ from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.runtime.recording import RecordingWriter
 from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, SCAN, SCAN_RAW, TRACKS, TRUTH
 from eigenscan.schemas.envelope import Core, Envelope
 from eigenscan.schemas.geometry_pb2 import Pose2
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.tracker.settings import TrackerSettings

@@ -12,11 +12,11 @@ import numpy as np
 from eigenscan.geometry.pose import covariance_from_message, from_message
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.projector.core import ProjectorCore
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN_RAW, TRACKS, find
 from eigenscan.schemas.envelope import Core, Envelope, nanoseconds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate, Tracks
 from eigenscan.schemas.wire import decode, encode
 from eigenscan.tracker.core import TrackerCore

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from enum import Enum
 
 from eigenscan.runtime.errors import UsageError
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.runtime.recording import read
 from eigenscan.schemas.channels import (
     HEADING,
@@ -23,6 +22,7 @@ from eigenscan.schemas.channels import (
 )
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.model_pb2 import ModelSet, RegionModel, RegionSpace
 from eigenscan.workbench.replay.casting import Instance
 from eigenscan.workbench.replay.services import Service, published_by, received_by

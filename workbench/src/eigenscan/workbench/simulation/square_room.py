@@ -22,10 +22,10 @@ from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import build_site
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, SCAN_RAW, TRACKS
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.methods import of_service
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.schemas.tracking_pb2 import Tracks

@@ -1,9 +1,9 @@
 from collections.abc import Iterable
 
-from eigenscan.runtime.loopback import Loopback
 from eigenscan.schemas.channels import HYPOTHESES, POSE, SCAN, SCAN_RAW, TRACKS, Channel
 from eigenscan.schemas.envelope import Condition, Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
+from eigenscan.schemas.loopback import Loopback
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 
 ADDRESS = {"site": "s", "robot": "r", "lidar": "l", "projector": "p"}
