@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 from eigenscan.eigenspace.model import ModelError, RegionModel, set_version
-from eigenscan.geometry.gridmap import from_message
+from eigenscan.geometry.gridmap import MapError, from_message
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, POSE, SCAN, TRUTH, Channel
 from eigenscan.schemas.envelope import nanoseconds
@@ -142,7 +142,10 @@ def model_numbers(received: Sequence[Received], vectors: Vectors) -> Verdict:
     models = {m.version: m for m in _messages(received, MODEL, RegionModelMessage)}
     if not (grids and sets and models):
         return ["a map, models and a set are needed to compare"], ""
-    grid, announced = from_message(grids[-1]), sets[-1]
+    try:
+        grid, announced = from_message(grids[-1]), sets[-1]
+    except MapError as error:
+        return [str(error)], ""
     want_map, want_set = (
         next(e.message for e in vectors.reference if e.channel is channel) for channel in (MAP, MODEL_SET)
     )
@@ -184,9 +187,8 @@ def _share_seen(model: RegionModel, caster: RayCaster) -> float:
     """Share of the ranges of some of the positions that are those of rays through the map."""
     chosen = slice(None, None, max(1, len(model.index) // CHECKED_POSITIONS))
     have = model.panoramas[chosen]
-    want = caster.panoramas(
-        model.positions[chosen], have.shape[1], float(have[np.isfinite(have)].max()) + 1.0
-    )
+    farthest = float(have.max(initial=0.0, where=np.isfinite(have)))
+    want = caster.panoramas(model.positions[chosen], have.shape[1], farthest + 1.0)
     with np.errstate(invalid="ignore"):
         same = (np.abs(have - want) <= RAY_M) | (np.isinf(have) & np.isinf(want))
     return float(same.mean())

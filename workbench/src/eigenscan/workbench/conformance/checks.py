@@ -14,6 +14,7 @@ from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.wire import encode
 from eigenscan.workbench.conformance.check import FAILED, PASSED, Check, check, skipped
 from eigenscan.workbench.conformance.receiving import alive_key
+from eigenscan.workbench.conformance.recording import as_ours
 from eigenscan.workbench.conformance.travelling import travelling
 from eigenscan.workbench.conformance.trial import Observed
 from eigenscan.workbench.conformance.values import faults
@@ -148,10 +149,9 @@ def _models(seen: Observed) -> Iterator[Check]:
     elif first.isdisjoint(versions):
         problems.append("model_version of its answers is never that of the set published before its start")
     yield check(name, clause, problems, "has the models that were published before its start")
-    changed = [] if versions and versions[-1] == seen.other_set else ["it does not go on with the newer set"]
-    yield check(
-        "other models", "Models", changed if seen.other_set else [], "takes a newer set while it runs"
-    )
+    is_taken = seen.other_set and versions and versions[-1] == seen.other_set
+    problems = [] if is_taken else ["it does not go on with the newer set"]
+    yield check("other models", "Models", problems, "takes a newer set while it runs")
 
 
 def _late_joiner(seen: Observed, name: str, clause: str) -> Check:
@@ -169,7 +169,9 @@ def _late_joiner(seen: Observed, name: str, clause: str) -> Check:
         if not any(one is channel for one, _ in seen.joined.values()):
             problems.append(f"who comes late gets no {channel.name}: is it answered by a queryable?")
     for key, payload in published.items():
-        if key in seen.joined and seen.joined[key][1] != payload:
+        if key not in seen.joined:
+            problems.append(f"{key}: a late subscriber does not receive it")
+        elif as_ours(*seen.joined[key]) != payload:
             problems.append(f"{key}: a late subscriber receives another message")
     return check(name, clause, problems, f"who comes late gets the same {len(seen.joined)} messages")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from eigenscan.workbench.conformance.check import FAILED, Check
+from eigenscan.workbench.conformance.check import FAILED, SKIPPED, Check
 from eigenscan.workbench.conformance.trial import Observed
 from eigenscan.workbench.replay.suite import DIFFERENT, PASSED, Case
 from eigenscan.workbench.replay.suite import junit as suite_junit
@@ -46,5 +46,6 @@ def junit(seen: Observed, checks: Sequence[Check]) -> str:
             check.words,
         )
         for check in checks
+        if check.result != SKIPPED
     ]
     return suite_junit(cases, "eigenscan conform")

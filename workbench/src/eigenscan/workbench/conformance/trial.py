@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -18,7 +18,6 @@ from eigenscan.schemas.channels import HEALTH, MODEL_SET, Channel
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.model_pb2 import ModelSet
-from eigenscan.schemas.wire import decode
 from eigenscan.workbench.conformance.bad_input import bad_samples
 from eigenscan.workbench.conformance.candidate import Candidate
 from eigenscan.workbench.conformance.check import Check
@@ -127,8 +126,9 @@ class Trial:
         self._await_start(candidate)
         if seen.profile.records and candidate.lives:
             self._play(before, candidate, "the first part of the drive")
-            self._publish_nonsense(candidate)
-            self._play(after, candidate, "the rest of the drive")
+            if candidate.lives:
+                self._publish_nonsense(candidate)
+                self._play(after, candidate, "the rest of the drive")
             time.sleep(TAKEN_IN_S * self._terms.patience)
         elif seen.profile.asks is None:
             self._join_late()
@@ -270,12 +270,12 @@ class Trial:
         with Bus(open_session(self._others)) as late:
             late.listen(channels, {"site": self._site}, inbox)
             deadline = time.monotonic() + self._terms.settle_s * self._terms.patience + self._token_s
-            while time.monotonic() < deadline and not self._is_whole(self._seen.joined.values()):
+            while time.monotonic() < deadline and not self._is_whole():
                 arrival = inbox.take(0.1)
                 if arrival:
                     self._seen.joined[arrival.key] = arrival.channel, arrival.payload
 
-    def _is_whole(self, joined: Iterable[tuple[Channel, bytes]]) -> bool:
-        sets = [decode(channel, payload) for channel, payload in joined if channel is MODEL_SET]
-        wanted = sum(len(one.entries) for one in sets if isinstance(one, ModelSet))
-        return bool(sets) and len(self._seen.joined) >= wanted + 2
+    def _is_whole(self) -> bool:
+        """Whether the late one has the map, the newest set, and as many models as that names."""
+        sets = [one.message for one in self._ear.received() if isinstance(one.message, ModelSet)]
+        return bool(sets) and len(self._seen.joined) >= len(sets[-1].entries) + 2

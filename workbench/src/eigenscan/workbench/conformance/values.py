@@ -73,7 +73,9 @@ def _hypotheses(message: Hypotheses) -> Iterator[str]:
 
 
 def _tracks(message: Tracks) -> Iterator[str]:
+    yield from _probability(message.none_probability, "none_probability")
     for number, track in enumerate(message.tracks):
+        yield from _probability(track.probability, f"tracks[{number}].probability")
         yield from _pose(track.pose, f"tracks[{number}].pose")
         yield from _covariance(track.covariance, f"tracks[{number}].covariance")
     total = message.none_probability + sum(track.probability for track in message.tracks)
