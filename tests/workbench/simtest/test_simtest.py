@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+import logging
+import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from random import Random
 
 import pytest
@@ -14,16 +17,20 @@ from eigenscan.recorder.files import Files
 from eigenscan.recorder.mcap_sink import McapSink
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.runtime.logs import NAME
 from eigenscan.runtime.receive_watchdog import ReceiveWatchdog
 from eigenscan.runtime.work import Work
 from eigenscan.schemas.channels import HYPOTHESES, ODOMETRY, POSE, TRACKS
-from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.envelope import Condition, Envelope
+from eigenscan.schemas.health_pb2 import Health
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.workbench.simtest.agenda import Agenda, MachineClock
+from eigenscan.workbench.simtest.checks import Judge
 from eigenscan.workbench.simtest.disk import WRITTEN_BACK_S, Disk, KilledError
 from eigenscan.workbench.simtest.faults import KINDS, Fault, draw
-from eigenscan.workbench.simtest.network import Network
-from eigenscan.workbench.simtest.site import Plan
+from eigenscan.workbench.simtest.network import LEASE_S, Network
+from eigenscan.workbench.simtest.session import Reply
+from eigenscan.workbench.simtest.site import Plan, Site
 from eigenscan.workbench.simtest.story import shrunk, story
 from eigenscan.workbench.simtest.trial import run
 
@@ -149,6 +156,48 @@ def test_every_kind_of_fault_is_drawn_and_has_words() -> None:
     assert {fault.kind for seed in range(100) for fault in draw(seed, plan)} == set(KINDS)
 
 
+@pytest.mark.parametrize(
+    ("kind", "state"),
+    [
+        ("loss", lambda site: site.network.link("r1", "site").loss),
+        ("cut", lambda site: site.network.link("r1", "site").passes),
+        ("slow", lambda site: site.machines["r1"].processes[0].handling_s),
+        ("full", lambda site: site.machines["r1"].processes[0].disk.left),
+        ("first release", lambda site: site.machines["r1"].processes[0].is_of_first_release),
+        ("slip", lambda site: site.robots["r1"].slip),
+    ],
+)
+def test_of_faults_of_a_kind_each_lasts_to_its_own_end(kind: str, state: Callable[[Site], object]) -> None:
+    """The end of the one that began first ended the other, or the other's ended it."""
+    site = Site(1, Plan(1, 1.0, 2.0, 60.0))
+    before = state(site)
+    for fault in (Fault(1.0, kind, "r1", 0, 0.3, 9.0), Fault(2.0, kind, "r1", 0, 0.8, 3.0)):
+        site.agenda.after(fault.at, partial(fault.begin, site))
+    site.agenda.after(6.0, partial(Fault(6.0, kind, "r1", 0, 0.8, 9.0).begin, site))
+    found = []
+    for at in (1.5, 2.5, 5.5, 6.5, 10.5, 15.5):
+        site.agenda.run(at)
+        found.append(state(site))
+    one, other = found[:2]
+    assert one != before
+    assert found == [one, other, one, other, other, before]
+
+
+def test_a_link_is_given_up_a_lease_after_it_was_cut_for_good() -> None:
+    """An earlier cut, mended in time, counted too."""
+    agenda = Agenda()
+    network = Network(agenda, "0")
+    link = network.link("r1", "site")
+    network.cut(link)
+    agenda.run(0.9 * LEASE_S)
+    network.mend(link)
+    network.cut(link)
+    agenda.run(1.8 * LEASE_S)
+    assert link.stands
+    agenda.run(2.0 * LEASE_S)
+    assert not link.stands
+
+
 def test_a_failure_is_reported_by_the_fault_that_causes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """A recorder that forgets to hand over what it has."""
     monkeypatch.setattr(McapSink, "_flush", lambda *_: None)
@@ -180,6 +229,13 @@ def _elsewhere(core: TrackerCore, received: Envelope) -> Iterable[Envelope]:
         yield output
 
 
+def _nowhere(core: TrackerCore, received: Envelope) -> Iterable[Envelope]:
+    for output in HANDLE(core, received):
+        if output.channel is POSE:
+            output.message.pose.x = math.nan  # type: ignore[attr-defined]
+        yield output
+
+
 def _failing(core: TrackerCore, received: Envelope) -> Iterable[Envelope]:
     if received.channel.name == "hypotheses" and received.stamp % 3 == 0:
         raise RuntimeError("a fault of the core")
@@ -190,7 +246,8 @@ HANDLE = TrackerCore.handle
 
 
 @pytest.mark.parametrize(
-    ("handle", "rule"), [(_altered, "probabilities"), (_elsewhere, "claim"), (_failing, "crash")]
+    ("handle", "rule"),
+    [(_altered, "probabilities"), (_elsewhere, "claim"), (_nowhere, "claim"), (_failing, "crash")],
 )
 def test_a_faulty_tracker_is_found(monkeypatch: pytest.MonkeyPatch, handle: object, rule: str) -> None:
     monkeypatch.setattr(TrackerCore, "handle", handle)
@@ -206,11 +263,16 @@ def _forget_some(work: Work, arrival: Arrival) -> None:
         WORK_HANDLE(work, arrival)
 
 
-WORK_HANDLE = Work._handle
+def _ok_until_fed(work: Work) -> Condition:
+    found = WORK_CONDITION(work)
+    return Condition(Health.STATUS_OK, "", found.counters) if work._fed_at == -math.inf else found
+
+
+WORK_HANDLE, WORK_CONDITION = Work._handle, Work._condition
 SLOW = Fault(12.0, "slow", "r1", 0, 1.0, 60.0)
 FLOOD = Fault(12.0, "stranger", "r1", 0, 1.0, 60.0)
 SILENT_PROJECTOR, SILENT_TRACKER = (Fault(12.0, "mute", "r1", part, 0.0, 0.0) for part in (1, 0))
-KILL_RECORDER = Fault(12.0, "kill", "site", 0, 0.0, 0.0)
+KILL_RECORDER, KILL_TRACKER = (Fault(12.0, "kill", place, 0, 0.0, 0.0) for place in ("site", "r1"))
 
 
 @pytest.mark.parametrize(
@@ -218,11 +280,19 @@ KILL_RECORDER = Fault(12.0, "kill", "site", 0, 0.0, 0.0)
     [
         (Inbox, "_give_way", _nothing, [SLOW, FLOOD], "memory"),
         (Work, "_lacks", lambda _: "", [SILENT_PROJECTOR], "health"),
+        (Work, "_condition", _ok_until_fed, [SILENT_PROJECTOR, KILL_TRACKER], "health"),
         (Work, "_handle", _forget_some, [], "health"),
         (ReceiveWatchdog, "is_lost", lambda *_: False, [SILENT_TRACKER], "recovery"),
         (Bus, "_follow", _nothing, [KILL_RECORDER], "latched"),
     ],
-    ids=["endless queue", "silence not reported", "uncounted", "deaf for ever", "late ones not asked for"],
+    ids=[
+        "endless queue",
+        "silence not reported",
+        "silence from its start not",
+        "uncounted",
+        "deaf for ever",
+        "late ones not asked for",
+    ],
 )
 def test_a_faulty_shell_is_found(
     monkeypatch: pytest.MonkeyPatch, place: type, name: str, bug: object, faults: list[Fault], rule: str
@@ -248,6 +318,38 @@ def test_what_may_wait_has_arrived_once_the_service_looks() -> None:
     assert subscriber.try_recv().payload == b"x"
     assert robot.arrived == {"odometry": 1}
     assert subscriber.try_recv() is None
+
+
+def test_a_query_whose_answer_comes_twice_is_answered_and_one_to_the_deaf_is_not() -> None:
+    agenda = Agenda()
+    network = Network(agenda, "0")
+    network.link("r1", "site").duplication = 1.0
+    asks, answers = (network.open(machine, MachineClock(agenda)) for machine in ("r1", "site"))
+    answers.declare_queryable("site/map", lambda query: query.reply("site/map", b"x"))
+    replies: list[Reply] = []
+    asks.get("site/map", replies.append, timeout=1.0)
+    agenda.run(2.0)
+    assert {reply.err for reply in replies} == {""}
+    answers.is_silent = True
+    replies.clear()
+    asks.get("site/map", replies.append, timeout=1.0)
+    agenda.run(4.0)
+    assert [reply.err for reply in replies] == ["timeout"]
+
+
+def test_the_time_without_recovery_is_stated_as_it_was_given() -> None:
+    """Of half a scan a second 45 s were stated, where 90 were waited."""
+    site = Site(1, Plan(1, 0.5, 1.0, 60.0))
+    judge = Judge(site)
+    site.agenda.run(100.0)
+    judge.finish()
+    assert [one.detail for one in judge.broken] == ["r1: no pose 90 s after the last fault"]
+
+
+def test_logs_are_handed_on_after_a_run_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(logging.getLogger(NAME), "propagate", True)
+    run(1, 1, [])
+    assert logging.getLogger(NAME).propagate
 
 
 def _disk() -> tuple[Agenda, Disk]:

@@ -27,8 +27,8 @@ from eigenscan.workbench.simtest.session import Sample, Session, channel_of
 from eigenscan.workbench.simtest.site import BUDGET_MB, SITE, Life, Site
 
 SETTLE_S = 45.0
-"""After the last fault, until when all must work again: 20 s until a deaf service ends, 1 s for its restart,
-and what a lost robot needs."""
+"""After the last fault, until when all must work again, with a scan a second: 20 s until a deaf service ends,
+1 s for its restart, and what a lost robot needs."""
 UNIQUE_S = 20.0
 """For which a robot must have been where nothing looks the same, to be localized."""
 SLIPPED_S = 5.0
@@ -60,6 +60,7 @@ class Judge:
 
     def __init__(self, site: Site) -> None:
         self.site = site
+        self.settle_s = SETTLE_S / min(1.0, site.plan.scan_hz)
         self.broken: list[Broken] = []
         self.counts: Counter[str] = Counter()
         self._arrived: dict[Process, dict[str, int]] = {}
@@ -143,7 +144,7 @@ class Judge:
         far, turn = FAR_M, FAR_RAD
         if pose.HasField("protection_radius"):
             far, turn = pose.protection_radius, pose.protection_angle
-        if off > far or turned > turn:
+        if not (off <= far and turned <= turn):  # a NaN is no right pose either
             self.fail(
                 "claim",
                 f"{robot}: claims a pose {off:.2f} m and {math.degrees(turned):.0f} deg off, with a "
@@ -192,7 +193,8 @@ class Judge:
         session = process.session
         if wanted is None or session is None:
             return
-        silent = self.site.agenda.now - self._input_at.get(session, math.inf)
+        now = self.site.agenda.now
+        silent = now - self._input_at.setdefault(session, now)  # one that never got any, since it speaks
         if silent > SILENT_S + LATE_S and health.status == Health.STATUS_OK:
             self.fail("health", f"{process.name}: OK, without {wanted.name} for {silent:.0f} s")
 
@@ -246,7 +248,7 @@ class Judge:
                 continue
             at, health = self._health.get(process, (0.0, None))
             if not process.is_up or health is None or now - at > 3.0:
-                yield "recovery", f"{process.name}: is not back {SETTLE_S:.0f} s after the last fault"
+                yield "recovery", f"{process.name}: is not back {self.settle_s:.0f} s after the last fault"
             elif health.status != Health.STATUS_OK:
                 name = status_word(health.status).upper()
                 yield "recovery", f"{process.name}: {name}: {health.detail}"
@@ -254,12 +256,12 @@ class Judge:
                 yield from self._old_latched(process)
         for robot in self.site.robots:
             if now - self._posed.get(robot, 0.0) > 3.0 / self.site.plan.scan_hz + 1.0:
-                yield "recovery", f"{robot}: no pose {SETTLE_S:.0f} s after the last fault"
+                yield "recovery", f"{robot}: no pose {self.settle_s:.0f} s after the last fault"
             elif (
                 now - self._unique_since.get(robot, now) > UNIQUE_S
                 and now - self._claimed.get(robot, 0.0) > 3.0 / self.site.plan.scan_hz
             ):
-                yield "recovery", f"{robot}: is not localized {SETTLE_S:.0f} s after the last fault"
+                yield "recovery", f"{robot}: is not localized {self.settle_s:.0f} s after the last fault"
 
     def _old_latched(self, process: Process) -> Iterator[tuple[str, str]]:
         """Every service has the newest map and models that it receives and that somebody still holds."""

@@ -38,11 +38,22 @@ class Fault:
         return self.at + (self.lasts if KINDS[self.kind].lasts else 0.0)
 
     def begin(self, site: Site) -> None:
-        """Does it, and undoes it in time."""
+        """Does it, and undoes it in time; where others of its kind go on, the newest of them decides."""
         kind = KINDS[self.kind]
         undo = kind.do(site, self)
-        if undo is not None:
-            site.agenda.after(self.lasts, undo)
+        if undo is None or kind.where is None:
+            return
+        going = site.going[self.kind, kind.where(site, self)]
+        going.append(self)
+
+        def end() -> None:
+            going.remove(self)
+            if going:
+                kind.do(site, going[-1])
+            else:
+                undo()
+
+        site.agenda.after(self.lasts, end)
 
     def words(self, site: Site) -> str:
         """What happens."""
@@ -53,11 +64,17 @@ class Fault:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of fault; `lasts`: it is undone after a time."""
+    """A kind of fault; doing it once more, where it is done, changes nothing but its amount."""
 
     do: Callable[[Site, Fault], Undo | None]
     words: Callable[[Site, Fault], str]
-    lasts: bool = True
+    where: Callable[[Site, Fault], object] | None = None
+    """What it befalls until it is undone; None: it is over at once."""
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it is undone after a time."""
+        return self.where is not None
 
 
 def _process(site: Site, fault: Fault) -> Process:
@@ -85,12 +102,12 @@ def _set(attribute: str, value: Callable[[Fault], float]) -> Callable[[Site, Fau
     return do
 
 
-def _cut_off(fault: Fault) -> str:
+def _robot(_site: Site, fault: Fault) -> str:
     return fault.place if fault.place != SITE else "r1"
 
 
 def _cut(site: Site, fault: Fault) -> Undo:
-    link = site.network.link(_cut_off(fault), SITE)
+    link = site.network.link(_robot(site, fault), SITE)
     site.network.cut(link)
     return lambda: site.network.mend(link)
 
@@ -148,19 +165,18 @@ def _slip_of(fault: Fault) -> tuple[float, float]:
 
 
 def _slip(site: Site, fault: Fault) -> Undo:
-    robot = site.robots[_cut_off(fault)]
-    robot.slip = slip = _slip_of(fault)
+    robot = site.robots[_robot(site, fault)]
+    robot.slip = _slip_of(fault)
 
     def undo() -> None:
-        if robot.slip is slip:  # else another one goes on
-            robot.slip = AS_DRIVEN
+        robot.slip = AS_DRIVEN
 
     return undo
 
 
-def _slips(_site: Site, fault: Fault) -> str:
-    of_way, of_turn = _slip_of(fault)
-    return f"odometry of {_cut_off(fault)} counts {of_way:.2f} times the way and {of_turn:.2f} times the turn"
+def _slips(site: Site, fault: Fault) -> str:
+    (of_way, of_turn), robot = _slip_of(fault), _robot(site, fault)
+    return f"odometry of {robot} counts {of_way:.2f} times the way and {of_turn:.2f} times the turn"
 
 
 def _new_map(site: Site, _fault: Fault) -> None:
@@ -195,8 +211,9 @@ def _full(site: Site, fault: Fault) -> Undo:
 
 def _of_first_release(site: Site, fault: Fault) -> Undo:
     process = _process(site, fault)
-    process.is_of_first_release = True
-    process.stop()
+    if not process.is_of_first_release:
+        process.is_of_first_release = True
+        process.stop()
 
     def upgrade() -> None:
         process.is_of_first_release = False
@@ -222,54 +239,59 @@ KINDS: dict[str, Kind] = {
     "loss": Kind(
         _set("loss", lambda fault: 0.9 * fault.amount),
         lambda site, fault: f"{90 * fault.amount:.0f} % of messages {_where(site, fault)} are lost",
+        _where,
     ),
     "delay": Kind(
         _set("extra_s", lambda fault: 2.0 * fault.amount**2),
         lambda site, fault: f"messages {_where(site, fault)} take {2 * fault.amount**2:.2f} s longer",
+        _where,
     ),
     "disorder": Kind(
         _set("disorder_s", lambda fault: fault.amount),
         lambda site, fault: f"messages {_where(site, fault)} overtake others, by up to {fault.amount:.2f} s",
+        _where,
     ),
     "duplication": Kind(
         _set("duplication", lambda fault: fault.amount),
         lambda site, fault: f"{100 * fault.amount:.0f} % of messages {_where(site, fault)} come twice",
+        _where,
     ),
     "cut": Kind(
         _cut,
-        lambda _site, fault: f"nothing passes between {_cut_off(fault)} and the site",
+        lambda site, fault: f"nothing passes between {_robot(site, fault)} and the site",
+        _robot,
     ),
-    "kill": Kind(_kill, lambda site, fault: f"{_name(site, fault)} is killed", lasts=False),
+    "kill": Kind(_kill, lambda site, fault: f"{_name(site, fault)} is killed"),
     "kill in a write": Kind(
         _kill_in_write,
         lambda site, fault: f"{_name(site, fault)} is killed {int(20 * fault.amount)} disk operations later",
-        lasts=False,
     ),
-    "slip": Kind(_slip, _slips),
+    "slip": Kind(_slip, _slips, _robot),
     "first release": Kind(
-        _of_first_release, lambda site, fault: f"{_name(site, fault)} is of the first release, then upgraded"
+        _of_first_release,
+        lambda site, fault: f"{_name(site, fault)} is of the first release, then upgraded",
+        _name,
     ),
-    "stop": Kind(_stop, lambda site, fault: f"{_name(site, fault)} is stopped and restarted", lasts=False),
+    "stop": Kind(_stop, lambda site, fault: f"{_name(site, fault)} is stopped and restarted"),
     "slow": Kind(
         _slow,
         lambda site, fault: f"{_name(site, fault)} needs {0.02 + 0.5 * fault.amount:.2f} s for a message",
+        _name,
     ),
-    "mute": Kind(_silence, lambda site, fault: f"nothing arrives at {_name(site, fault)}", lasts=False),
-    "off": Kind(_off, lambda _site, fault: f"{fault.place} loses power"),
+    "mute": Kind(_silence, lambda site, fault: f"nothing arrives at {_name(site, fault)}"),
+    "off": Kind(_off, lambda _site, fault: f"{fault.place} loses power", lambda _site, fault: fault.place),
     "clock": Kind(
         _clock,
         lambda _site, fault: f"the clock of {fault.place} is set by {clock_step_s(fault):+.2f} s",
-        lasts=False,
     ),
-    "new map": Kind(
-        _new_map, lambda _site, _fault: "the mapbuilder is restarted with another map", lasts=False
-    ),
-    "stranger": Kind(_stranger, _nonsense),
+    "new map": Kind(_new_map, lambda _site, _fault: "the mapbuilder is restarted with another map"),
+    "stranger": Kind(_stranger, _nonsense, lambda _site, fault: fault),
     "full": Kind(
         _full,
         lambda site, fault: (
             f"the disk of {_name(site, fault)} is full after {int(5000 * fault.amount)} bytes"
         ),
+        _name,
     ),
 }
 

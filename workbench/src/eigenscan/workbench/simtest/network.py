@@ -46,6 +46,7 @@ class Link:
     passes: bool = True
     stands: bool = True
     """As both ends see it."""
+    cuts: int = 0
     loss: float = 0.0
     """Share that is lost of what may be dropped."""
     extra_s: float = 0.0
@@ -267,10 +268,14 @@ class Network:
 
     def cut(self, link: Link) -> None:
         """From now on it passes nothing."""
+        if not link.passes:
+            return
         link.passes = False
+        link.cuts += 1
+        number = link.cuts
 
         def give_up() -> None:
-            if not link.passes:
+            if not link.passes and link.cuts == number:
                 link.stands = False
                 link.held.clear()
                 self._show_tokens()
@@ -325,11 +330,7 @@ class Network:
     ) -> None:
         """A query to all whose keys fit; without an answer for `timeout` s, the news of that."""
         wanted = expression(selector)
-        open_queries = 0
-
-        def done() -> None:
-            nonlocal open_queries
-            open_queries -= 1
+        unanswered: set[Declared] = set()
 
         def receive(reply: Reply) -> None:
             if session.is_open and not session.is_silent:
@@ -342,7 +343,7 @@ class Network:
 
         def question(one: Declared) -> Callable[[], None]:
             def put() -> None:
-                if not one.session.is_open:
+                if not one.session.is_open or one.session.is_silent:
                     return
                 answers: list[Reply] = []
                 one.callback(Query(one.session, selector, payload, answers.append))
@@ -350,22 +351,22 @@ class Network:
                 def bring() -> None:
                     for each in answers:
                         receive(each)
-                    done()
+                    unanswered.discard(one)
 
                 self._send(self._way(one.session, session), bring, block=True)
 
             return put
 
         for one in [each for each in self._queryables if each.expression.intersects(wanted)]:
-            open_queries += 1
+            unanswered.add(one)
             if one.session is session:
                 question(one)()
             else:
                 self._send(self._way(session, one.session), question(one), block=True)
 
         def give_up() -> None:
-            if open_queries:
+            if unanswered:
                 receive(Reply(None, "timeout"))
 
-        if open_queries:
+        if unanswered:
             self._agenda.after(timeout, give_up)

@@ -60,8 +60,7 @@ class Process:
         self.on_end: Callable[[Process, str], None] = lambda _process, _how: None
         """Reported before each end, how: killed, stopped, failed, or with which exit code."""
         self._life = 0
-        self._turn_at = 0
-        self._turn_number = 0
+        self._turn_at = self._turn_number = self._busy_until = 0
         self._work: Work | None = None
 
     @property
@@ -138,7 +137,7 @@ class Process:
     def _schedule(self, seconds: float) -> None:
         """The next turn, that much after now, but not before the last message is done with."""
         now = self._agenda.now_ns
-        due = max(now + round(seconds * 1e9), self._busy_until if self._turn_number else 0)
+        due = max(now + round(seconds * 1e9), self._busy_until)
         if self._turn_at and now <= self._turn_at <= due:
             return
         self._turn_at = due
@@ -150,8 +149,6 @@ class Process:
                 self._turn()
 
         self._agenda.at(due, turn)
-
-    _busy_until = 0
 
     def _turn(self) -> None:
         assert self._work is not None

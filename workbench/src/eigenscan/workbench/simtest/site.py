@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from random import Random
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from eigenscan.eigenspace.folder import SiteModel
@@ -40,6 +41,9 @@ from eigenscan.workbench.simtest.network import Network
 from eigenscan.workbench.simtest.process import Process
 from eigenscan.workbench.simtest.robot import Robot, SyntheticProjector
 from eigenscan.workbench.simtest.session import Bytes, Sample, Session
+
+if TYPE_CHECKING:
+    from eigenscan.workbench.simtest.faults import Fault
 
 SITE = "site"
 """Its name, and that of its one machine that is no robot."""
@@ -228,6 +232,8 @@ class Site:
         self.notes: list[tuple[float, str]] = []
         self.edition = 0
         """Of the map."""
+        self.going: defaultdict[tuple[str, object], list[Fault]] = defaultdict(list)
+        """Faults that go on, by kind and by what they befall, in the order in which they began."""
         names = [f"r{number + 1}" for number in range(plan.robots)]
         self.robots = {name: Robot(SITE, name, str(seed), in_hall=plan.real) for name in names}
         self.machines = {SITE: Machine(self, SITE, None)}

@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 
 from eigenscan.runtime.logs import NAME
-from eigenscan.workbench.simtest.checks import SETTLE_S, Broken, Judge
+from eigenscan.workbench.simtest.checks import Broken, Judge
 from eigenscan.workbench.simtest.faults import Fault, draw
 from eigenscan.workbench.simtest.site import Plan, Site
 
@@ -51,14 +51,15 @@ def run(
     site = Site(seed, plan)
     judge = Judge(site)
     log = logging.getLogger(NAME)
-    level, log.propagate = log.level, False
+    level, propagates = log.level, log.propagate
+    log.propagate = False
     log.setLevel(logging.CRITICAL)
     try:
         site.begin()
         for fault in chosen:
             site.agenda.after(fault.at, lambda fault=fault: fault.begin(site))  # type: ignore[misc]
         last = max([plan.first_s, *(fault.end for fault in chosen)])
-        end = last + SETTLE_S / min(1.0, plan.scan_hz)
+        end = last + judge.settle_s
         well_since = last
         while site.agenda.now_ns < round(end * 1e9) and not judge.broken:  # now is a sum, rounded otherwise
             site.agenda.run(min(end, site.agenda.now + 1.0))
@@ -80,6 +81,7 @@ def run(
         judge.fail("crash", f"{type(error).__name__} in {where}: {error}")
     finally:
         log.setLevel(level)
+        log.propagate = propagates
         for process in site.processes:
             process.disk.close()
         if next(_runs) % RUNS_KEPT == 0:
