@@ -90,6 +90,21 @@ def test_a_slow_sink_loses_the_oldest_but_never_the_map(patient: None) -> None:
     assert numbers(sink) == [0, *range(101, WAITING + 101)]
 
 
+def test_of_a_map_that_changes_while_nothing_is_drawn_the_newest_alone_waits(patient: None) -> None:
+    """Each edition of a site's map and models stayed in memory for as long as drawing stood still."""
+    sink = Slow()
+    background = BackgroundSink(sink)
+    background.write(pose(0))
+    assert sink.writes.wait(120)
+    for number in range(100):
+        background.write(Envelope(MAP, ADDRESS, Grid(column_count=number)))
+    assert background.counters["undrawn"] == 99
+    sink.may_write.set()
+    await_that(lambda: len(sink.written) == 2)
+    background.close()
+    assert sink.written[1].open(Grid).column_count == 99
+
+
 def test_a_sink_that_hangs_does_not_keep_the_recorder_from_ending() -> None:
     sink = Slow()
     background = BackgroundSink(sink)

@@ -12,7 +12,7 @@ from eigenscan.runtime.logs import logger
 from eigenscan.schemas.envelope import Envelope
 
 WAITING = 4096
-"""Most messages that wait; then the oldest is dropped, but never a latched one."""
+"""Most messages that wait; then the oldest is dropped. Of each latched key the newest alone waits."""
 DRAIN_S = 0.3
 """s at the end for messages that still wait."""
 
@@ -23,7 +23,7 @@ class BackgroundSink(Sink):
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._waiting: deque[Envelope] = deque()
-        self._latched: deque[Envelope] = deque()
+        self._latched: dict[str, Envelope] = {}
         self._news = threading.Condition()
         self._end_at: float | None = None
         self._counts: Counter[str] = Counter(undrawn=0, undrawable=0)
@@ -50,7 +50,8 @@ class BackgroundSink(Sink):
         """Lets the message wait its turn."""
         with self._news:
             if received.channel.qos.latched:
-                self._latched.append(received)
+                self._counts["undrawn"] += self._latched.pop(received.key, None) is not None
+                self._latched[received.key] = received
             else:
                 self._waiting.append(received)
                 if len(self._waiting) > WAITING:
@@ -86,5 +87,8 @@ class BackgroundSink(Sink):
         with self._news:
             self._news.wait_for(lambda: self._waiting or self._latched or self._end_at is not None)
             late = self._end_at is not None and time.monotonic() > self._end_at
-            queue = self._latched or self._waiting
-            return queue.popleft() if queue and not late else None
+            if late:
+                return None
+            if self._latched:
+                return self._latched.pop(next(iter(self._latched)))
+            return self._waiting.popleft() if self._waiting else None
