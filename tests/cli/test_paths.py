@@ -192,6 +192,8 @@ def test_more_pictures_than_can_be_drawn(folder: Path) -> None:
         ("import drive.mcap -o a.mcap --mount front=1e308,0,0", "--mount front=1e308,0,0: is farther than"),
         ("import drive.mcap -o a.mcap --site a/b", "--site 'a/b': a name has no blanks"),
         ("import drive.mcap -o a.mcap --robot 'r 1'", "--robot 'r 1': a name has no blanks"),
+        ("simulate --save-map new.yaml --live --robot a/b", "--robot 'a/b': a name has no blanks"),
+        ("play drive.mcap --wait 0 --site a/b", "--site 'a/b': a name has no blanks"),
         ("simtest --robots 100000", "less than or equal to 100"),
         ("simulate -o a.mcap --seconds inf", "--seconds"),
         ("play drive.mcap --wait 0 --from 1e308", "--from"),

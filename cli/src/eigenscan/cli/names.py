@@ -9,15 +9,15 @@ from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import is_chunk
 
 
-def check_names(robot: str, site: str) -> None:
-    """Raises UsageError for a name that no key can have."""
+def check_names(robot: str | None, site: str | None) -> None:
+    """Raises UsageError for a name that no key can have; None is none."""
     for option, value in (("--robot", robot), ("--site", site)):
-        if not is_chunk(value):
+        if value is not None and not is_chunk(value):
             raise UsageError(f"{option} {value!r}: a name has no blanks and none of / * $ # ? @")
 
 
 def _checked(site: str) -> str:
-    check_names("any", site)
+    check_names(None, site)
     return site
 
 

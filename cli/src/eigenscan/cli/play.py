@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, write_figures
 from eigenscan.cli.moment import METAVAR, START, Moment, moment
+from eigenscan.cli.names import check_names
 from eigenscan.runtime.errors import FailedError, UsageError
 
 if TYPE_CHECKING:
@@ -94,6 +95,7 @@ def play(
       eigenscan play night.mcap --from 120 --to 180 --only scan_raw --only odometry
       eigenscan play drive.mcap --robots 50 --stamps now
     """  # noqa: D301 - \b keeps the lines apart in --help
+    check_names(robot, site)
     prepare(json_file)
     from eigenscan.fleet.view import connect
     from eigenscan.runtime.bus import Bus

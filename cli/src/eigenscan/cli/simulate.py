@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, write_figures
 from eigenscan.cli.former import optional
+from eigenscan.cli.names import check_names
 from eigenscan.cli.paths import check_map_output
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
@@ -126,6 +127,7 @@ def simulate(
       eigenscan simulate MAP.yaml --live --speed 2
     """  # noqa: D301 - \b keeps the lines apart in --help
     map_file = optional("MAP", map_file, map_option)
+    check_names(robot, site)
     if not (out or truth or save_map or live):
         raise UsageError("nothing to do: give -o FILE.mcap, --truth FILE.tum, --save-map FILE.yaml or --live")
     if kidnap is not None and not 0 < kidnap < seconds:
