@@ -94,6 +94,9 @@ def test_the_summary_states_in_one_line_why_it_failed() -> None:
     failed = [line for line in summarize(good, bad, 3.0, []).splitlines() if "FAILED" in line]
     assert len(failed) == 1
     assert "all 30 poses that it claimed were wrong" in failed[0]
+    few = judge(_stretch((21, 1.0, False), (9, 0.1, True)), 0.0, 3.0)  # it said that the end was not right
+    words = "0 of 9 claimed poses were wrong, and no 10 right ones in a row lasted to the end"
+    assert words in summarize(good, few, 3.0, [])
     assert "before the kidnap (it claimed no pose)" in summarize(judge([], 0.0, 1.0), good, 3.0, [])
 
 

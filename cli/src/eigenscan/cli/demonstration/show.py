@@ -32,7 +32,7 @@ from eigenscan.schemas.words import state_word
 from eigenscan.workbench.simulation.live import publish
 from eigenscan.workbench.simulation.recorded import Recorded
 from eigenscan.workbench.simulation.stage import Stage
-from eigenscan.workbench.simulation.verdict import Sighting, Stretch, judge
+from eigenscan.workbench.simulation.verdict import ENOUGH, Sighting, Stretch, judge
 
 EARLY = "before the robot was found again"
 OPEN_S = 30.0
@@ -258,7 +258,8 @@ def _why(stretch: Stretch) -> str:
         return "it claimed no pose"
     if stretch.wrong_claims == stretch.claims:
         return f"all {stretch.claims} poses that it claimed were wrong"
-    return f"{stretch.wrong_claims} of {stretch.claims} claimed poses were wrong, and the end was not right"
+    wrong = f"{stretch.wrong_claims} of {stretch.claims} claimed poses were wrong"
+    return f"{wrong}, and no {ENOUGH} right ones in a row lasted to the end"
 
 
 def _search(stretch: Stretch) -> str:
