@@ -78,6 +78,43 @@ def test_closed_outputs_are_no_failure(tmp_path: Path, typed: str) -> None:
     assert _run(typed, ">&- 2>&-", tmp_path).returncode == 0
 
 
+def test_a_closed_standard_error_is_no_failure(tmp_path: Path) -> None:
+    """Import, build, map and others ended with code 1, did nothing, and could not say why."""
+    result = _run("simulate --seconds 1 -o drive.mcap", "2>&-", tmp_path)
+    assert result.returncode == 0
+    assert (tmp_path / "drive.mcap").stat().st_size > 0
+
+
+@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_no_file_takes_the_place_of_a_closed_stream(tmp_path: Path, closed: str) -> None:
+    """What a library writes to standard error would be in it."""
+    code = (
+        "import os, sys\n"
+        "from pathlib import Path\n"
+        "from eigenscan.runtime.closed_streams import lead_nowhere\n"
+        "lead_nowhere()\n"
+        "with Path('number').open('w') as file:\n"
+        "    print('a word', file=sys.stderr, flush=True)\n"
+        "    os.write(2, b'a word')\n"
+        "    print(file.fileno() > 2, file=file)\n"
+    )
+    line = f"{shlex.quote(sys.executable)} -c {shlex.quote(code)} {closed}"
+    subprocess.run(["bash", "-c", line], cwd=tmp_path, check=True, timeout=60)
+    assert (tmp_path / "number").read_text() == "True\n"
+
+
+def test_a_service_runs_with_a_closed_standard_error(tmp_path: Path) -> None:
+    """It ended with code 1, and its error took the place of its output."""
+    code = (
+        "from eigenscan.runtime.logs import configure\n"
+        "from eigenscan.runtime.node import exit_with\n"
+        "exit_with('x', lambda: 'auto', lambda style, stop: configure('info', style).info('ready') or 0)\n"
+    )
+    line = f"{shlex.quote(sys.executable)} -c {shlex.quote(code)} 2>&-"
+    done = subprocess.run(["bash", "-c", line], cwd=tmp_path, check=False, capture_output=True, timeout=60)
+    assert (done.returncode, done.stdout) == (0, b"")
+
+
 STILL_OPENING = """
 import sys, threading, time
 from eigenscan.cli import entry, main

@@ -24,6 +24,9 @@ def main() -> None:
     usual = signal.getsignal(signal.SIGINT)
     if usual is not signal.SIG_IGN:  # as a shell has it in a script's background
         signal.signal(signal.SIGINT, _end)
+    from eigenscan.runtime.closed_streams import lead_nowhere
+
+    lead_nowhere()
     from eigenscan.cli.main import app
 
     signal.signal(signal.SIGINT, usual)
@@ -49,9 +52,9 @@ def _leave(code: int) -> None:
             if thread is not threading.current_thread() and not thread.daemon:
                 thread.join()
     atexit._run_exitfuncs()
-    with suppress(AttributeError, OSError):  # None where it is closed
+    with suppress(OSError):
         sys.stdout.flush()
-    with suppress(AttributeError, OSError):
+    with suppress(OSError):
         sys.stderr.flush()
     os._exit(code)
 
@@ -76,7 +79,7 @@ class _Named(io.FileIO):
 def named_output() -> Iterator[None]:
     """Lets errors of standard output name it, also the last one, at the end of the process."""
     usual = sys.stdout
-    if usual is None or not isinstance(usual, io.TextIOWrapper):
+    if not isinstance(usual, io.TextIOWrapper):
         yield
         return
     usual.flush()

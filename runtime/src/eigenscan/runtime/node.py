@@ -25,6 +25,7 @@ import zenoh
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.certificates import fault_in
 from eigenscan.runtime.clock import Clock, Later, later
+from eigenscan.runtime.closed_streams import lead_nowhere
 from eigenscan.runtime.counters import Counters
 from eigenscan.runtime.errors import one_line
 from eigenscan.runtime.exchange import Exchange
@@ -104,6 +105,7 @@ def main(service: Service[Any]) -> None:
 
 def exit_with(name: str, read: Callable[[], T], run: Callable[[T, StopEvent], int]) -> None:
     """Reads settings, runs until SIGTERM or SIGINT, and exits with the code of `run` or of its error."""
+    lead_nowhere()
     stop = StopEvent()
     with stop.on_signals():
         settings = None
