@@ -101,6 +101,23 @@ def test_ctrl_c_ends_with_what_was_done_and_130(
     assert capsys.readouterr().err == "eigenscan repair: ended by Ctrl-C: log 40 %, windows 3 of 25\n"
 
 
+@pytest.mark.parametrize(
+    ("signalled", "code", "words"),
+    [(KeyboardInterrupt(), 130, "eigenscan repair: ended by Ctrl-C\n"), (SystemExit(143), 143, "")],
+)
+def test_a_signal_within_compiled_code_is_no_fault_of_ours(
+    monkeypatch: pytest.MonkeyPatch, signalled: BaseException, code: int, words: str
+) -> None:
+    """Python puts a SystemError over it: 'CPUDispatcher returned a result with an exception set'."""
+
+    def work() -> None:
+        raise SystemError("returned a result with an exception set") from signalled
+
+    monkeypatch.setattr("eigenscan.cli.repair.repair", work)
+    ended = eigenscan("repair")
+    assert (ended.returncode, ended.stderr) == (code, words)
+
+
 def test_a_command_that_is_none_names_those_that_are() -> None:
     result = eigenscan("fly")
     assert result.returncode == 2

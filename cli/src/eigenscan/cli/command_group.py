@@ -6,7 +6,8 @@ import errno
 import importlib
 import os
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,17 @@ def _described(error: Exception, command: str, is_known: bool) -> tuple[str, int
         return f"{command}: {one_line(error)}", EXIT_USAGE
     line = f"{command}: {type(error).__name__}: {one_line(error)}"
     return f"{line} (a fault of ours; eigenscan --debug shows the trace)", EXIT_FAILED
+
+
+@contextmanager
+def _signals_of_compiled_code() -> Iterator[None]:
+    """Raises what a signal raised within compiled code, where Python has a SystemError over it."""
+    try:
+        yield
+    except SystemError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt | SystemExit):
+            raise error.__cause__ from None
+        raise
 
 
 WIDEST = 120
@@ -222,7 +234,8 @@ def lazy_group(
 
         def invoke(self, ctx: Any) -> Any:
             try:
-                return super().invoke(ctx)
+                with _signals_of_compiled_code():
+                    return super().invoke(ctx)
             except (Exception, KeyboardInterrupt) as error:
                 if ctx.find_root().params.get("debug"):
                     raise

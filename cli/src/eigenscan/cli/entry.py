@@ -1,4 +1,4 @@
-"""The entry point of `eigenscan`: Ctrl-C while it still loads, and errors of standard output."""
+"""The entry point of `eigenscan`: signals, Ctrl-C while it still loads, and errors of standard output."""
 
 from __future__ import annotations
 
@@ -13,8 +13,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 STDOUT = "standard output"
-EXIT_STOPPED = 130
-"""Exit code after Ctrl-C, as shells have it."""
+ENDING = (signal.SIGTERM, signal.SIGHUP)
+"""Of `kill` and `timeout`, and of a terminal that is closed."""
+SIGNALLED = 128
+"""Exit code, as shells have it, of a process that a signal ended, less the signal's number."""
+EXIT_STOPPED = SIGNALLED + signal.SIGINT
+"""Exit code after Ctrl-C."""
 EXIT_UNREAD = 141
 """Exit code where the reader of standard output ended first, as shells have it after SIGPIPE."""
 
@@ -30,6 +34,9 @@ def main() -> None:
     from eigenscan.cli.main import app
 
     signal.signal(signal.SIGINT, usual)
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+            signal.signal(number, _unwind)
     code = 0
     if os.environ.get("COLUMNS") == "0":  # some terminals do not know their width; nothing fits in none
         del os.environ["COLUMNS"]
@@ -47,7 +54,8 @@ def main() -> None:
 def _leave(code: int) -> None:
     """Ends the process without the interpreter's own end, which a thread that opens a session would abort."""
     signal.signal(signal.SIGINT, _end)
-    if code != EXIT_STOPPED:
+    by_signal = code - SIGNALLED
+    if by_signal not in (signal.SIGINT, *ENDING):
         for thread in threading.enumerate():
             if thread is not threading.current_thread() and not thread.daemon:
                 thread.join()
@@ -56,7 +64,17 @@ def _leave(code: int) -> None:
         sys.stdout.flush()
     with suppress(OSError):
         sys.stderr.flush()
+    if by_signal in ENDING:  # who started this process sees how it ended
+        signal.signal(by_signal, signal.SIG_DFL)
+        os.kill(os.getpid(), by_signal)
     os._exit(code)
+
+
+def _unwind(number: int, _: object) -> None:
+    """Ends the command as an error would, so that children end and no half of a file stays."""
+    for each in ENDING:  # a closed terminal may send both
+        signal.signal(each, lambda *_: None)  # not SIG_IGN, which a child would inherit
+    raise SystemExit(SIGNALLED + number)
 
 
 def _end(*_: object) -> None:

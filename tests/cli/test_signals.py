@@ -1,0 +1,52 @@
+"""What ends a command ends all that it started."""
+
+import signal
+import subprocess
+import sys
+
+import psutil
+import pytest
+
+WITH_A_CHILD = """
+import sys, time
+from eigenscan.cli import entry, main
+from eigenscan.workbench.conformance.candidate import Candidate
+
+def app():
+    with Candidate([sys.executable, "-c", "import time; time.sleep(600)"], {}) as candidate:
+        print(candidate._process.pid, flush=True)
+        time.sleep(600)
+
+main.app = app
+entry.main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_candidate_ends_with_the_command_that_judges_it(number: signal.Signals) -> None:
+    """By `timeout` or a closed terminal it was left behind, and ran for ever."""
+    with subprocess.Popen([sys.executable, "-c", WITH_A_CHILD], stdout=subprocess.PIPE, text=True) as command:
+        assert command.stdout is not None
+        child = psutil.Process(int(command.stdout.readline()))
+        try:
+            command.send_signal(number)
+            assert command.wait(60) == -number  # as if it had no handler
+            assert not child.is_running() or child.status() == psutil.STATUS_ZOMBIE
+        finally:
+            command.kill()
+            if child.is_running():
+                child.kill()
+
+
+IGNORING = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+SIGNALLED = """
+import os, signal
+from eigenscan.cli import entry, main
+main.app = lambda: os.kill(os.getpid(), signal.SIGHUP)
+entry.main()
+"""
+
+
+@pytest.mark.parametrize(("before", "code"), [(IGNORING, 0), ("", -signal.SIGHUP)])
+def test_nohup_is_heeded(before: str, code: int) -> None:
+    assert subprocess.run([sys.executable, "-c", before + SIGNALLED], check=False).returncode == code
