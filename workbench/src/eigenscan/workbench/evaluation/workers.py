@@ -6,14 +6,10 @@ The reference stays with the caller: a worker gets models and a stretch of the l
 from __future__ import annotations
 
 import resource
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from functools import partial
-from multiprocessing import active_children, get_context
+from types import TracebackType
 from typing import TypeVar
 
 import numba
@@ -21,6 +17,7 @@ import psutil
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.workbench.evaluation.chosen import PipelineSettings
 from eigenscan.workbench.evaluation.pipeline import Answer, Packed, Pipeline, Run, pack, unpack
+from eigenscan.workbench.pool import Pool
 
 R = TypeVar("R")
 
@@ -47,19 +44,6 @@ _here: list[Worker] = []
 """The worker of a process that has one."""
 
 
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Processes that begin meanwhile ignore them, too, from their first import on."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 def _begin(models: Packed, warm_up: Packed, settings: PipelineSettings) -> None:
     _here.append(Worker(models, warm_up, settings))
 
@@ -84,7 +68,7 @@ def _weigh(models: Packed, warm_up: Packed, settings: PipelineSettings) -> float
 
 def model_mb(models: Sequence[Envelope], warm_up: Sequence[Envelope], settings: PipelineSettings) -> float:
     """Resident memory of the models, MB, measured in a new process."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+    with Pool(1) as pool:
         return pool.submit(_weigh, pack(models), pack(warm_up), settings).result()
 
 
@@ -99,23 +83,22 @@ class Workers:
         settings: PipelineSettings | None = None,
     ) -> None:
         beginning = (pack(models), pack(warm_up), settings or PipelineSettings())
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: Pool | None = None
         self._asked = 1 if jobs == 1 else 8 * jobs  # so many that each process is asked, most likely
         if jobs > 1:
-            self._pool = ProcessPoolExecutor(jobs, get_context("spawn"), _begin, beginning)
-            with _interrupts_ignored():  # Ctrl-C reaches the caller too, who ends these processes
-                self._pool.submit(int)  # which begins them all
+            self._pool = Pool(jobs, _begin, beginning)
+            self._pool.submit(int)  # begins one while the caller still prepares
         else:
             self._own = Worker(*beginning)
 
     def __enter__(self) -> Workers:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._pool:
-            for process in active_children() if kind else ():
-                process.terminate()  # it would finish its runs first, which nobody reads
-            self._pool.shutdown(cancel_futures=True)
+            self._pool.__exit__(kind, error, trace)
 
     @property
     def peak_mb(self) -> float:

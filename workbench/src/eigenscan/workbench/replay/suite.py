@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from xml.etree import ElementTree
 
 from eigenscan.runtime.errors import UsageError, by_users, one_line
+from eigenscan.workbench.pool import Pool
 from eigenscan.workbench.replay.casting import cast
 from eigenscan.workbench.replay.comparison import Terms
 from eigenscan.workbench.replay.playing import Event, Side, play
@@ -180,9 +178,7 @@ def _judged(files: Sequence[Path], plan: Plan, jobs: int) -> Iterator[Iterable[C
     if jobs <= 1:
         yield from (judge(path, plan) for path in files)
         return
-    # by Ctrl-C they end at once, without a trace each
-    initial = signal.SIGINT, signal.SIG_DFL
-    with ProcessPoolExecutor(jobs, get_context("spawn"), signal.signal, initial) as pool:
+    with Pool(jobs) as pool:
         yield from pool.map(partial(_all_of, plan=plan), files)
 
 
