@@ -341,6 +341,8 @@ def test_health_names_why_a_broker_cannot_be_reached(
     ("flags", "words"),
     [
         (["--broker", "10.0.0.5"], "--broker = '10.0.0.5'"),
+        (["--broker", "mqtt://localhost:99999"], "--broker = 'mqtt://localhost:99999': Port out of range"),
+        (["--broker", "mqtt://acme:word@10.0.0.5"], "give username and password_file"),
         (["--robot", "*"], "one robot"),
         (["--robot", "halle/1"], "robot"),
         (["--robot", "läufer"], "serial_number"),

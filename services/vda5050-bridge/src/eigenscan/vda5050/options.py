@@ -43,7 +43,9 @@ class Vda5050Options(Vda5050Settings, ServiceSettings):
     @classmethod
     def _is_a_broker(cls, value: str) -> str:
         url = urlsplit(value)
-        if url.scheme not in PORTS or not url.hostname or url.path.strip("/") or url.username:
+        if url.username is not None:
+            raise ValueError("must have no user in it: give username and password_file")
+        if url.port == 0 or url.scheme not in PORTS or not url.hostname or url.path.strip("/"):
             raise ValueError("must be such as mqtt://10.0.0.5:1883 or mqtts://broker")
         return value
 
