@@ -126,6 +126,16 @@ def test_who_is_gone_before_the_newer_set_does_not_take_it() -> None:
     assert found.result == FAILED
 
 
+@pytest.mark.parametrize("name", ["tracker", "recorder"])
+def test_who_never_starts_fails_once(name: str) -> None:
+    """Ten lines of FAILED hid the cause."""
+    seen = Observed(PROFILES[name], Vectors((), (), ()), ADDRESS, "one", ended_early="it ended with code 1")
+    first, *others = judge(seen, 0.2)
+    assert (first.name, first.result) == ("presence", FAILED)
+    assert "it ended with code 1" in first.words
+    assert {one.result for one in others} == {SKIPPED}
+
+
 def test_a_skipped_check_is_no_test_that_passed() -> None:
     seen = Observed(PROFILES["tracker"], Vectors((), (), ()), ADDRESS, "one")
     checks = [Check(result, "Keys", result, "words") for result in (PASSED, FAILED, SKIPPED)]

@@ -26,21 +26,21 @@ HEALTH_GAP_S = 2.5
 
 def judge(seen: Observed, latency_s: float, patience: float = 1.0) -> list[Check]:
     """All checks. `latency_s`: limit for 95 % of the answers; `patience`: factor on the other limits."""
+    first, last = [*_presence(seen, patience)], _stops(seen, patience)
     if seen.profile.records:
+        others = [*travelling(seen), *_survives(seen), *seen.kept, last]
+    else:
+        others = [*(one for part in _PARTS for one in part(seen)), _latency(seen, latency_s), last]
+    if seen.ended_early and not seen.tokens and not seen.received:
         return [
-            *_presence(seen, patience),
-            *travelling(seen),
-            *_survives(seen),
-            *seen.kept,
-            _stops(seen, patience),
+            first[0],
+            *(skipped(one.name, one.clause, "it does not start") for one in [*first[1:], *others]),
         ]
-    checks = [*_presence(seen, patience), *(one for part in _PARTS for one in part(seen))]
-    checks += [_latency(seen, latency_s), _stops(seen, patience)]
-    if seen.received:
-        return checks
+    if seen.received or seen.profile.records:
+        return [*first, *others]
     return [
         skipped(one.name, one.clause, "it publishes nothing") if one.result == PASSED else one
-        for one in checks
+        for one in [*first, *others]
     ]
 
 
