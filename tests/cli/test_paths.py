@@ -3,9 +3,9 @@
 import io
 import json
 import os
+import resource
 import shlex
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from eigenscan.cli import view
@@ -125,23 +125,26 @@ def test_a_full_disk_is_named_by_what_is_written(folder: Path, typed: str, place
 def test_a_picture_on_a_full_disk(folder: Path) -> None:
     assert (folder / "drive.mcap").exists()
     result = eigenscan("view", "drive.mcap", "--no-open", "--rrd", "/dev/full")
-    assert result.returncode == 1
-    assert "view: /dev/full: " in result.stderr
-    assert "No space left" in result.stderr
-    assert "fault of ours" not in result.stderr
+    assert result.returncode == 2
+    assert "view: /dev/full: No space left on device: make room" in result.stderr
 
 
-def test_a_picture_on_a_disk_that_filled_up(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_that_outgrows_the_limit_on_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rerun's words alone were shown, as for a quota that is used up."""
+
     def end_early(*_: object) -> None:
         raise RuntimeError("File-writer thread shut down prematurely")
 
     monkeypatch.setattr(RerunSink, "write", end_early)
-    monkeypatch.setattr(view, "disk_usage", lambda _place: SimpleNamespace(free=0))
     typed = ["view", str(folder / "drive.mcap"), "--no-open", "--rrd", str(folder / "a.rrd")]
-    result = CliRunner().invoke(app, typed)
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (view.LEAST_FREE // 2, usual[1]))
+    try:
+        result = CliRunner().invoke(app, typed)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
     assert result.exit_code == 2
-    assert f"{folder / 'a.rrd'}: No space left on device: make room" in result.stderr
-    monkeypatch.setattr(view, "disk_usage", lambda _place: SimpleNamespace(free=10**9))
+    assert f"{folder / 'a.rrd'}: File too large: raise the limit (ulimit -f)" in result.stderr
     result = CliRunner().invoke(app, typed)
     assert result.exit_code == 1
     assert "prematurely" in result.stderr

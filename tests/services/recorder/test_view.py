@@ -44,7 +44,7 @@ def view(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def test_a_recording_becomes_a_picture(recording: Path, tmp_path: Path) -> None:
     result = view(recording, "--rrd", tmp_path / "drive.rrd", "--no-open")
-    assert result.returncode == 0, result.stderr
+    assert (result.returncode, result.stdout) == (0, f"wrote {tmp_path / 'drive.rrd'}\n"), result.stderr
     drawn = {chunk.entity_path for chunk in RrdReader(str(tmp_path / "drive.rrd")).stream()}
     assert {"/world/map", "/world/robots/r1/tracks", "/belief/r1", "/legend"} <= drawn
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from dataclasses import replace
 from pathlib import Path
-from shutil import disk_usage
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -88,13 +85,14 @@ def view(
             _open(target, port, figures, json_file)
         else:
             write_figures(figures, json_file)
+            if wants_words(json_file):
+                typer.echo(f"wrote {rrd}")
 
 
 def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOptions) -> dict[str, Any]:
     """Draws the part of a recording between two moments, with a progress bar."""
     from eigenscan.recorder.rerun_sink import RerunSink
     from eigenscan.runtime.recording import contents, read
-    from eigenscan.schemas.whole import PART
     from eigenscan.workbench.progress import Bars
 
     found = contents(recording)
@@ -116,9 +114,8 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
                 moved(max(record.log_time - begin, 0) / max(end - begin, 1))
         sink.close()
     except RuntimeError as error:  # rerun's, which does not always name a full disk
-        if settings.rrd and disk_usage(settings.rrd.parent).free < LEAST_FREE:
-            written = str(settings.rrd).removesuffix(PART)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), written) from error
+        assert settings.rrd is not None
+        _check_room(settings.rrd)
         raise FailedError(f"{settings.rrd}: {error}") from error
     if not found.complete:
         typer.echo(f"{recording}: its writer did not close it; drawn as far as it goes", err=True)
@@ -129,6 +126,18 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
         "recording_s": (found.end - found.begin) * 1e-9,
         "whole": found.complete,
     }
+
+
+def _check_room(part: Path) -> None:
+    """Raises OSError where the disk, a quota or the shell's limit on files has no room for more."""
+    from eigenscan.schemas.whole import PART
+
+    try:
+        with part.open("ab") as file:
+            file.write(bytes(LEAST_FREE))
+    except OSError as error:
+        error.filename = str(part).removesuffix(PART)
+        raise
 
 
 def _open(picture: Path, port: int, figures: dict[str, Any], json_file: Path | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from errno import ENOSPC, EROFS
+from errno import EDQUOT, EFBIG, ENOSPC, EROFS
 
 from eigenscan.runtime.printable import printable
 
@@ -30,7 +30,12 @@ def by_users(error: Exception) -> bool:
     return isinstance(error, ValueError) and type(error).__module__.startswith("eigenscan.")
 
 
-_FIXES_BY_NUMBER = {ENOSPC: ": make room, or name another place", EROFS: ": name another place"}
+_FIXES_BY_NUMBER = {
+    ENOSPC: ": make room, or name another place",
+    EDQUOT: ": make room, or name another place",
+    EFBIG: ": raise the limit (ulimit -f), or name another place",
+    EROFS: ": name another place",
+}
 _FIXES: dict[type[OSError], str] = {
     FileNotFoundError: ": check the path",
     PermissionError: ": change the file's rights, or name another place",
