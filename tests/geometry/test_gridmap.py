@@ -124,6 +124,12 @@ def test_a_mistake_in_the_yaml_is_named_with_its_line(tmp_path: Path) -> None:
         read_map(path)
 
 
+def test_a_tab_in_the_yaml_is_named(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").write_text("image:\tmap.pgm\n")
+    with pytest.raises(MapError, match=r"line 1: is no map_server yaml \(found character '\\t'"):
+        read_map(tmp_path / "map.yaml")
+
+
 @pytest.mark.parametrize("text", ["", "- a\n- b", "image: [", "just words"])
 def test_what_is_no_map_file(tmp_path: Path, text: str) -> None:
     path = tmp_path / "map.yaml"

@@ -154,7 +154,8 @@ def build(
     drawn = read_regions(regions) if regions else ()
     began = time.perf_counter()
     options = PlanOptions(metres_per_unit, layer or ())
-    grid, floors = _stacked([(path.stem, read_plan(path, options)) for path in map_files])
+    plans = [(path.stem, read_plan(path, options)) for path in map_files]
+    grid, floors = _stacked(plans)
     with Pieces(out) as pieces:
         layout = _lay_out(grid, plan, drawn, map_files, regions)
         if floors and not drawn:
@@ -170,6 +171,13 @@ def build(
         )
     found = quality(grid, layout.positions.points, IN_SIGHT_M)
     _summarize(message, layout, found, built, out, time.perf_counter() - began, json_file)
+    for path, (_, each) in zip(map_files, plans, strict=True):
+        if each.is_lossy:
+            typer.echo(
+                f"{path}: its image is a JPEG, whose noise may make unknown ground free, or free ground "
+                "unknown: save the original as PNG",
+                err=True,
+            )
     if found.strips:
         typer.echo(
             "most of the map is occupied, and its free ground is as narrow as walls: is negate in its yaml "

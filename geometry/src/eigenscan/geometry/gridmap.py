@@ -50,13 +50,14 @@ class GridMap:
     """Cells (H, W) uint8 of FREE, OCCUPIED or UNKNOWN; row 0 and column 0 at the origin.
 
     `origin` (3,): pose of the outer corner of cell (0, 0) in the map frame; `resolution` in m per cell.
-    `is_received`: the origin is as a message states it.
+    `is_received`: the origin is as a message states it. `is_lossy`: of an image whose greys are not exact.
     """
 
     cells: NDArray[np.uint8]
     resolution: float
     origin: NDArray[np.float64]
     is_received: bool = field(default=False, compare=False, repr=False)
+    is_lossy: bool = field(default=False, compare=False, repr=False)
 
     @property
     def free_area(self) -> float:
@@ -141,7 +142,10 @@ def read_map(path: Path) -> GridMap:
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # no date, a number of 5,000 digits, ...
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f", line {mark.line + 1}"
-        raise MapError(f"{path}{where}: is no map_server yaml: give the yaml that names the image") from error
+        why = f" ({problem})" if (problem := getattr(error, "problem", "")) else ""  # such as a tab
+        raise MapError(
+            f"{path}{where}: is no map_server yaml{why}: give the yaml that names the image"
+        ) from error
     if not isinstance(meta, dict):
         raise MapError(f"{path}: is no map_server yaml: expected image, resolution, origin")
     resolution = _number(path, meta, "resolution", None)
@@ -158,8 +162,9 @@ def read_map(path: Path) -> GridMap:
         )
     if not isinstance(meta.get("image"), str):
         raise MapError(f"{path}: image is missing: name the pgm or png beside this file")
-    cells = _cells(path, meta)
-    return GridMap(np.ascontiguousarray(cells[::-1]), resolution, np.array(origin, dtype=np.float64))
+    cells, is_lossy = _cells(path, meta)
+    pose = np.array(origin, dtype=np.float64)
+    return GridMap(np.ascontiguousarray(cells[::-1]), resolution, pose, is_lossy=is_lossy)
 
 
 def read_image(path: Path, metres_per_pixel: float) -> GridMap:
@@ -169,8 +174,8 @@ def read_image(path: Path, metres_per_pixel: float) -> GridMap:
     """
     if not FINEST_M <= metres_per_pixel <= COARSEST_M:
         raise MapError(f"{path}: {metres_per_pixel} metres per pixel: give a scale such as 0.05")
-    cells = _cells(path, {"image": path.name})
-    return GridMap(np.ascontiguousarray(cells[::-1]), metres_per_pixel, np.zeros(3))
+    cells, is_lossy = _cells(path, {"image": path.name})
+    return GridMap(np.ascontiguousarray(cells[::-1]), metres_per_pixel, np.zeros(3), is_lossy=is_lossy)
 
 
 def _plain_yaml(path: Path) -> str:
@@ -224,8 +229,11 @@ def _as_number(value: object) -> float | None:
         return None
 
 
-def _pixels(path: Path, file: Path) -> NDArray[np.uint8]:
-    """Pixels of the image of the map `path`: grey (H, W), or red, green, blue, alpha (H, W, 3 or 4)."""
+def _pixels(path: Path, file: Path) -> tuple[NDArray[np.uint8], bool]:
+    """Pixels of the image of the map `path`: grey (H, W), or red, green, blue, alpha (H, W, 3 or 4).
+
+    And whether it is a JPEG.
+    """
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -235,12 +243,11 @@ def _pixels(path: Path, file: Path) -> NDArray[np.uint8]:
                 raise MapError(f"{path}: image {file} has {image.width} x {image.height} pixels: too large")
             if image.mode.startswith(("I", "F")):
                 raise MapError(f"{path}: image {file} has more than 8 bits a pixel: save it with 8")
-            if image.mode in ("1", "L") and "transparency" not in image.info:
-                return np.asarray(image.convert("L"))
-            bands = image.getbands()
-            return np.asarray(
-                image.convert("RGBA" if "A" in bands or "transparency" in image.info else "RGB")
-            )
+            is_lossy, has_alpha = image.format == "JPEG", "transparency" in image.info
+            if image.mode in ("1", "L") and not has_alpha:
+                return np.asarray(image.convert("L")), is_lossy
+            has_alpha |= "A" in image.getbands()
+            return np.asarray(image.convert("RGBA" if has_alpha else "RGB")), is_lossy
     except MapError:
         raise
     except FileNotFoundError as error:
@@ -249,7 +256,8 @@ def _pixels(path: Path, file: Path) -> NDArray[np.uint8]:
         raise MapError(f"{path}: image {file} cannot be read: {error}: is it whole? Copy it again") from error
 
 
-def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
+def _cells(path: Path, meta: dict[str, Any]) -> tuple[NDArray[np.uint8], bool]:
+    """Cells of the image, first row at the top, and whether it is a JPEG."""
     file = path.parent / meta["image"]
     try:
         is_file = not file.exists() or file.is_file()
@@ -257,7 +265,7 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
         raise MapError(f"{path}: image {str(file)[:200]!r} cannot be read: {error}") from error
     if not is_file:
         raise MapError(f"{path}: image {file} is no file: name the pgm or png beside this file")
-    pixels = _pixels(path, file)
+    pixels, is_lossy = _pixels(path, file)
     # a table over all sums of red, green and blue, because there may be hundreds of millions of pixels
     sums = pixels if pixels.ndim == 2 else pixels[..., :3].sum(axis=-1, dtype=np.uint16)
     grey = np.arange(256.0) if pixels.ndim == 2 else np.arange(766.0) / 3.0
@@ -289,7 +297,7 @@ def _cells(path: Path, meta: dict[str, Any]) -> NDArray[np.uint8]:
     for name, value in (("free", FREE), ("occupied", OCCUPIED)):
         if not np.any(cells == value):
             raise MapError(f"{path}: no {name} cell in {file}: check negate, free_thresh and occupied_thresh")
-    return cells
+    return cells, is_lossy
 
 
 def write_map(grid: GridMap, path: Path) -> None:
