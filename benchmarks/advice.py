@@ -4,8 +4,8 @@
 
 Simulated buildings with like places (alike_worlds.py), a drawn start that is ambiguous also after a turn
 on the spot, and the real cores in a closed loop with a simulated robot. Counted are the
-metres to the claim that is right and stays so over the next 3 m; a run that has none within 20 m counts as
-20 m and as undecided. Drives:
+metres to the claim that is right and stays so over the next 3 m; a run that has none within 20 m, or ends
+after 240 s, counts as 20 m and as undecided. Drives:
 
     advised   follows the projector's advice; without any, it wanders
     wander    straight ahead; where that is blocked, towards a drawn free direction
@@ -297,7 +297,7 @@ def _run(
         if robot.time > MOST_S or (since is None and robot.driven >= LIMIT_M):
             break
     counts = projector.condition().counters
-    decided = since is not None and since[0] < LIMIT_M
+    decided = since is not None and since[0] < LIMIT_M and robot.driven - since[0] >= STAYS_M
     return {
         "metres": since[0] if decided and since else LIMIT_M,
         "seconds": since[1] - begun if decided and since else None,

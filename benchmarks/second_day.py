@@ -88,7 +88,7 @@ def _judge(case: Case, sweeps: list[Sweep], way: str, options: argparse.Namespac
     with tempfile.TemporaryDirectory() as folder:
         given = Path(folder) / "given.yaml"
         write_map(worse.grid, given)
-        located = locate(given, first_drive, driven, lambda _: lambda _: None)
+        located = locate(given, first_drive.whole, driven, lambda _: lambda _: None)
     first_day = _starts(worse.grid, displaced, case.log, windows)
     try:
         mapped = survey(driven, located=located)

@@ -76,6 +76,27 @@ def test_a_stopped_core_handles_what_waits_only_if_it_has_time_for_it(
     assert core.finished_after == len(handled)
 
 
+def test_health_names_what_the_core_fails_at_until_it_succeeds() -> None:
+    inbox, stop = Inbox(), Stop(stopping=False)
+
+    class Poisoned(Noting):
+        def handle(self, received: Envelope) -> Iterable[Envelope]:
+            if received.open(Scan).sequence < 2:
+                raise ValueError("no beams")
+            return super().handle(received)
+
+    work = work_of(Poisoned(), inbox, stop)
+    monitor, found = work._monitor, []
+    for sequence in range(3):
+        put(inbox, sequence)
+        work.step()
+        work._due = 0.0
+        work.keep_time()
+        found.append((monitor.condition().status, monitor.condition().detail))
+    failing = Health.STATUS_DEGRADED, "the core fails at scan: no beams: see core_failed in its log"
+    assert found == [failing, failing, (Health.STATUS_OK, "")]
+
+
 def test_a_prompt_core_that_is_stopped_while_samples_wait_ends() -> None:
     inbox, stop = Inbox(), Stop(stopping=False)
 

@@ -33,7 +33,6 @@ from eigenscan.tracker.evidence import (
     SLIP_RAD,
     SLIP_SHARE,
     SLIPS,
-    TAIL,
     TOGETHER,
 )
 from eigenscan.tracker.observation import (
@@ -371,11 +370,6 @@ def slipped(tracks: Tracks, seen: Observation, merit: Merit, pairs: Pairs, progr
     return result
 
 
-def surprise(distance2: Array) -> Array:
-    """Factor (p,) >= 1 on predicted covariances by the innovation's squared distance (p,): Student's t."""
-    return np.maximum(1.0, (TAIL + distance2) / (TAIL + 3.0))
-
-
 def branch(
     old: Tracks, seen: Observation, pairs: Pairs, worth: Array, first: Array, source: int, share: Share
 ) -> Tracks:
@@ -449,9 +443,7 @@ def fused(
     joined = slice(alone, None)
     x, C, nis = branches.x.copy(), branches.C.copy(), branches.nis.copy()
     R = covariances[pairs.hypothesis]
-    off = residual(seen.poses[pairs.hypothesis], x[joined])
     R /= independent_share(C[joined], R, precision)[:, None, None]
-    C[joined] *= surprise(mahalanobis_squared(off, C[joined] + R))[:, None, None]
     x[joined], C[joined] = fuse_each(x[joined], C[joined], seen.poses[pairs.hypothesis], R)
     unchecked, observations = branches.unchecked.copy(), branches.observations.copy()
     unchecked[joined], nis[joined] = 0.0, pairs.distance2

@@ -33,7 +33,6 @@ from tests.services.tracker.readable import (
     present_evidence,
     share_aliases,
     slipped,
-    surprise,
 )
 
 # written out, not taken from what is tested: a change there must show here
@@ -264,10 +263,6 @@ def test_aliases_are_one_at_most_and_in_the_end_as_many_as_usual(a: float, b: fl
     np.testing.assert_allclose(aliases_go_on(np.zeros(2), 1e6), [ALIASES, ALIASES])
     # one that is sure to be an alias only ends
     np.testing.assert_allclose(aliases_go_on(np.ones(1), progress), np.exp(-ENDS * progress))
-
-
-def test_a_usual_innovation_leaves_the_covariance_as_it_is() -> None:
-    np.testing.assert_allclose(surprise(np.array([0.0, 3.0, 15.0])), [1.0, 1.0, 3.0])
 
 
 def test_two_places_that_look_the_same_stay_even_where_one_of_them_had_a_poor_track(

@@ -504,6 +504,14 @@ def test_a_robot_that_moves_is_driving(manager: Manager) -> None:
     assert not manager.state["driving"]
 
 
+def test_a_robot_without_poses_does_not_drive_on(manager: Manager) -> None:
+    for step in range(12):
+        manager.pose(pose=(0.05 * step, 0.0, 0.0))
+    assert manager.state["driving"]
+    manager.wait(2)
+    assert not manager.state["driving"]
+
+
 def test_the_schemas_here_refuse_what_is_wrong(manager: Manager) -> None:
     manager.pose()
     good = {"timestamp": "2026-11-22T12:00:00.000Z", **manager.state}

@@ -10,13 +10,16 @@ from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.workbench.logs import LogError, LogOptions, open_log
 from eigenscan.workbench.logs.log import odometry, raw_scan
+from eigenscan.workbench.logs.scans import read_scans
 from mcap.reader import make_reader
 
 S = 1_000_000_000
 
 
 def scan(time: float, robot: str = "robot", lidar: str = "front") -> Envelope:
-    return raw_scan(LogOptions(robot=robot), lidar, round(time * S), (0.1, 0, 0), ranges=[time] * 50)
+    return raw_scan(
+        LogOptions(robot=robot), lidar, round(time * S), (0.1, 0, 0), ranges=[time] * 50, angle_increment=0.02
+    )
 
 
 def moved(time: float, robot: str = "robot") -> Envelope:
@@ -46,6 +49,14 @@ def test_scans_and_odometry_come_back_as_they_were(tmp_path: Path) -> None:
     assert log.format == "Eigenscan recording"
     # a second time, too
     assert len(list(log.envelopes())) == len(received)
+
+
+def test_the_mapbuilder_reads_a_log_once_and_keeps_its_messages_on_request(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", published := [moved(1), scan(1), moved(2), scan(2)])
+    received = list[Envelope]()
+    scans = read_scans(path, LogOptions(), lambda _: None, received=received)
+    assert [(e.key, e.message) for e in received] == [(e.key, e.message) for e in published]
+    assert len(scans.sweeps) == scans.received == 2
 
 
 def test_what_was_recorded_late_is_put_in_order(tmp_path: Path) -> None:

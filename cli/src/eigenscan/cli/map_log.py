@@ -16,7 +16,7 @@ from eigenscan.schemas.channels import DEFAULT_ROBOT
 if TYPE_CHECKING:
     from eigenscan.mapbuilder.mapping.given_map import Located
     from eigenscan.mapbuilder.mapping.survey import Mapped
-    from eigenscan.workbench.logs import LogOptions
+    from eigenscan.schemas.envelope import Envelope
     from eigenscan.workbench.logs.scans import Scans
     from eigenscan.workbench.progress import Bars
 
@@ -84,13 +84,16 @@ def map_log(
     options = LogOptions(robot=robot, lidars=tuple(lidar or ()), odometry=odometry)
     began = time.perf_counter()
     with Bars() as bars:
-        scans = read_scans(log, options, bars.start_share("reading"), with_odometry=not no_odometry)
+        received: list[Envelope] | None = [] if on else None
+        scans = read_scans(
+            log, options, bars.start_share("reading"), with_odometry=not no_odometry, received=received
+        )
         if scans.damage:
             typer.echo(scans.damage, err=True)
         located = None
         try:
             if of is None:
-                located = _located(on, log, options, scans, bars, with_odometry=not no_odometry)
+                located = _located(on, received, scans, bars, with_odometry=not no_odometry)
                 mapped = survey(scans.sweeps, Survey(resolution=resolution), bars.start_steps(), located)
             else:
                 scans = scans.spread(of)
@@ -119,16 +122,14 @@ def _check_outputs(target: Path, inputs: list[Path], force: bool) -> None:
 
 
 def _located(
-    on: Path | None, log: Path, options: LogOptions, scans: Scans, bars: Bars, with_odometry: bool
+    on: Path | None, received: list[Envelope] | None, scans: Scans, bars: Bars, with_odometry: bool
 ) -> Located | None:
     """Poses of the scans on the given map, if there is one."""
-    if on is None:
+    if on is None or received is None:
         return None
     from eigenscan.workbench.evaluation.locating import locate
-    from eigenscan.workbench.evaluation.log import read_log
 
-    played = read_log(log, options, bars.start_share("reading again"))
-    return locate(on, played, scans.sweeps, bars.start_share, with_odometry)
+    return locate(on, received, scans.sweeps, bars.start_share, with_odometry)
 
 
 def _summarize(

@@ -63,6 +63,8 @@ class Work:
         self.let_go_first: Callable[[], None] | None = None
         """Called after each answer: others in this thread handle it before the core makes the next one."""
         self._elsewhere_s = 0.0
+        self._failing: dict[str, str] = {}
+        """Why the core failed at the newest message of a channel, by the channel's name."""
 
     def begin(self) -> None:
         """Publishes the first messages of the core."""
@@ -151,9 +153,11 @@ class Work:
             self._fed_at = self._clock.monotonic()
         try:
             self._publish(self._core.handle(received))
+            self._failing.pop(name, None)
         except Exception as error:
             # the next scan may be fine
             if not self._stop.stopping:
+                self._failing[name] = str(error) or type(error).__name__
                 self._counters.set_aside("core_failed", key, error, trace=True)
         self._monitor.handled(name, self._clock.perf_counter() - began - self._elsewhere_s)
 
@@ -187,7 +191,15 @@ class Work:
         status, detail = own.status, own.detail
         if status == Health.STATUS_OK and (lacks := self._lacks()):
             status, detail = Health.STATUS_WAITING, lacks
+        if self._failing:
+            status = Health.STATUS_DEGRADED
+            detail = "; ".join(filter(None, (detail, *self._fails())))
         return Condition(status, detail, dict(own.counters) | counters)
+
+    def _fails(self) -> Iterable[str]:
+        """What the core fails at, in words."""
+        for name, why in sorted(self._failing.items()):
+            yield f"the core fails at {name}: {why}: see core_failed in its log"
 
     def _lacks(self) -> str:
         """What no longer comes, in words; empty where it does."""

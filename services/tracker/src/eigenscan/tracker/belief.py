@@ -213,7 +213,6 @@ def _constants(off_map_share: float, missed: float) -> Constants:
         evidence.ALIASES,
         evidence.ENDS,
         evidence.SLIPS,
-        evidence.TAIL,
         observation.POORER,
         branching.LEAST_NEW,
         branching.KEPT,

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from eigenscan.geometry.inner import inner
-from eigenscan.geometry.symmetric import MATRICES, determinant, inverse, plus, square, triangle
-from eigenscan.tracker import evidence as model
+from eigenscan.geometry.symmetric import MATRICES, determinant, triangle
 from eigenscan.tracker.association import Pairs, crowding_each, within_gate
 from eigenscan.tracker.evidence import (
     Constants,
@@ -18,10 +17,9 @@ from eigenscan.tracker.evidence import (
     explained_by_aliases,
     hide_and_show,
     log_sum,
-    surprise,
 )
 from eigenscan.tracker.observation import Observation
-from eigenscan.tracker.symmetric import ROWS, apart, fuse_each
+from eigenscan.tracker.symmetric import ROWS, fuse_each
 from eigenscan.tracker.tracks import (
     GIVEN,
     MADE,
@@ -83,7 +81,7 @@ def branch(old: Columns, seen: Listed, pairs: Pairs, scan: Scan, c: Constants) -
     _name_forks(out, origin, count)
     _fuse(
         out, count, seen.poses, seen.widened, pairs.hypothesis, pairs.distance2, scan.precision,
-        scan.stamp, c.tail, c.least_new,
+        scan.stamp, c.least_new,
     )  # fmt: skip
     return out
 
@@ -139,13 +137,12 @@ def _name_forks(out: Columns, origin: Index, count: int) -> None:
 @inner(error_model="numpy")  # pragma: no cover - compiled
 def _fuse(
     out: Columns, alone: int, poses: Array, covariances: Array, hypothesis: Index, distance2: Array,
-    precision: float, stamp: int, tail: float, least_new: float,
+    precision: float, stamp: int, least_new: float,
 ) -> None:  # fmt: skip
     """Brings the branches after the first `alone` together with their hypotheses (p,).
 
     Scans from one place err alike: a track as sure as one scan learns only what motion makes new, the
     `precision`. One that prediction has made vaguer than a scan takes all of it: 1 - (|R| / |C|)^(1/3).
-    A surprise counts as far as the scan is new: else each scan from one place would make a track vaguer.
     """
     # by single numbers: whole rows take ten seconds and thirty MB more to compile
     count = len(hypothesis)
@@ -157,12 +154,7 @@ def _fuse(
         for i in range(3):
             x[pair, i], y[pair, i] = out.x[row, i], poses[k, i]
             for j in range(3):
-                R[pair, i, j] = covariances[k, i, j] / share
-        total = plus(triangle(out.C[row]), triangle(R[pair]))
-        wider = surprise(square(inverse(total), apart(poses[k], out.x[row])), tail)
-        for i in range(3):
-            for j in range(3):
-                C[pair, i, j] = out.C[row, i, j] * wider
+                C[pair, i, j], R[pair, i, j] = out.C[row, i, j], covariances[k, i, j] / share
     fused_x, fused_C = fuse_each(x, C, y, R)
     for pair in range(count):
         row = alone + pair
@@ -182,21 +174,19 @@ def follow(tracks: Tracks, seen: Observation, gate: float, precision: float) -> 
 
     It was made where a track was predicted. It omits other places, so it is no evidence for this one.
     """
-    made = _followed(
-        arrays_of(tracks), seen.poses, seen.covariances, gate, precision, seen.stamp, model.TAIL, LEAST_NEW
-    )
+    made = _followed(arrays_of(tracks), seen.poses, seen.covariances, gate, precision, seen.stamp, LEAST_NEW)
     return tracks_of(made)
 
 
 @njit(  # pragma: no cover - compiled
     MADE(
-        GIVEN, ROWS, MATRICES, types.float64, types.float64, types.int64, types.float64, types.float64
+        GIVEN, ROWS, MATRICES, types.float64, types.float64, types.int64, types.float64
     ),
     cache=True,
     error_model="numpy",
 )  # fmt: skip
 def _followed(
-    arrays: Arrays, poses: Array, covariances: Array, gate: float, precision: float, stamp: int, tail: float,
+    arrays: Arrays, poses: Array, covariances: Array, gate: float, precision: float, stamp: int,
     least_new: float,
 ) -> Columns:  # fmt: skip
     t = Columns(*arrays)
@@ -212,7 +202,7 @@ def _followed(
     out = taken(t, order)
     _fuse(
         out, len(order) - len(own), poses, covariances, hypothesis[pairs], distance2[pairs], precision, stamp,
-        tail, least_new,
+        least_new,
     )  # fmt: skip
     return taken(out, np.argsort(order))
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from math import atan2, degrees, erf, hypot, inf, log, sqrt
 
 import numpy as np
-from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD, TAIL, surprise
+from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
 from eigenscan.tracker.planar import Pose, wrap
 from eigenscan.tracker.scan_motion import SIGMA_M, SIGMA_RAD, SIGMA_SHARE
 from eigenscan.tracker.set_up import PROVEN, WRONG, right_share
@@ -38,6 +38,8 @@ The robots of ten logs are off by up to 1.7 degrees, 10 cm and 5 %, which never 
 """
 NOTED_RAD, NOTED_M = float(np.radians(2.0)), 0.1
 """So far off and as many sigmas more, it is noted: a claim allows it, but each pose errs by as much."""
+TAIL = 3.0
+"""Degrees of freedom of a motion's errors: odometry errs heavily, now and then (Student's t)."""
 SCALE_OFF = 0.14
 """What a claim allows of the ranges' scale, as a share: a wall 3.5 m away is seen NEAR_M too near."""
 
@@ -270,8 +272,8 @@ def _update(
     By how many nats what is stated explains the motion better than what was found. And the motion's
     log-density (Student's t), as predicted.
 
-    Variances are in units of `scale`, the noise's share of what is assumed. Heavy tails: `surprise`. Encoders
-    may have no sign, so the direction counts that fits better.
+    Variances are in units of `scale`, the noise's share of what is assumed. Encoders may have
+    no sign, so the direction counts that fits better.
     """
     cos, sin = np.cos(scans[2]), np.sin(scans[2])
     H = np.array([[x, -y, cos - 1.0, -sin], [y, x, sin, cos - 1.0]])
@@ -290,7 +292,7 @@ def _update(
     distance2 = float(off @ np.linalg.solve(S + R, off)) / scale
     fits = -0.5 * (np.log(np.linalg.det(scale * (S + R))) + (tail + 2.0) * np.log1p(distance2 / tail))
     # the noise is larger by how surprising the innovation is
-    R *= surprise(distance2, tail)
+    R *= max(1.0, (tail + distance2) / (tail + 3.0))
     weighed = H.T @ np.linalg.inv(R)
     information += weighed @ H
     sums += weighed @ seen

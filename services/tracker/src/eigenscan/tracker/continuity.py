@@ -31,13 +31,6 @@ half a wall's thickness, here of half a metre.
 A scan of elsewhere fits no better one way than the other, so the scans of a robot that is carried off often
 change from one to the other: benchmarks/mechanisms.py --without "kidnaps where lists fit other surfaces".
 """
-STRAY = 1
-"""Hypotheses that go on by chance where the scans do not follow either.
-
-So few went on at each of 82 kidnaps out of maps, at one of them one; at none of 31,000 lists of five logs
-without a kidnap: benchmarks/mechanisms.py --fault "carried off the map after 10 s"
---without "kidnaps where one goes on".
-"""
 ODOMETRY_SHARE = 0.5
 """Of the way and the turn between two scans, what odometry may err by here."""
 FARTHEST_M, FARTHEST_RAD, LONGEST_S = 1.0, 1.0, 0.25
@@ -78,18 +71,13 @@ def are_neighbours(moved: Motion) -> bool:
     return moved.way <= NEAR_M and moved.turn <= NEAR_RAD
 
 
-def is_broken(count: int | None, moved: Motion, parts: bool | None, *, alike: bool) -> bool:
+def is_broken(count: int | None, moved: Motion, parts: bool | None) -> bool:
     """Whether the robot was carried off between two lists of which `count` of COMPARED go on.
 
-    `parts`: whether its scans do not follow from each other; None: nobody watches, so that only lists near to
-    each other show it. `alike`: whether both lists fit the same surfaces.
+    `parts`: whether its scans do not follow from each other; else the map lacks what they show. None: nobody
+    watches, so that only lists near to each other show it.
     """
-    if count is None:
-        return False
-    if parts is None:
-        return count == 0 and are_neighbours(moved)
-    # where scans follow from each other, the map lacks what they show
-    return parts and count <= (STRAY if alike else 0)
+    return count == 0 and (are_neighbours(moved) if parts is None else parts)
 
 
 def carried_ratio(count: int | None, moved: Motion, parts: bool | None) -> float:

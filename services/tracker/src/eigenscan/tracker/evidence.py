@@ -75,8 +75,6 @@ SLIPS = 0.02
 evidence. As many over less: lists that follow each other closely are not told apart."""
 SLIP_M, SLIP_RAD, SLIP_SHARE = 0.1, 0.1, 1.0
 """Sigma of what it is then off by: this much, and this share of the way and of the turn."""
-TAIL = 3.0
-"""Degrees of freedom of the predicted pose: odometry errs heavily, now and then (Student's t)."""
 LEAST_MASS = float(np.log(1e-4))
 """Of tracks, below which their slipping is not looked at."""
 
@@ -94,7 +92,6 @@ class Constants(NamedTuple):
     aliases: float
     ends: float
     slips: float
-    tail: float
     poorer: float
     least_new: float
     kept: float
@@ -319,9 +316,3 @@ def log_sum(a: float, b: float) -> float:
     if most == -np.inf:
         return most
     return float(most + np.log1p(np.exp(min(a, b) - most)))
-
-
-@inner()  # pragma: no cover - compiled
-def surprise(distance2: float, tail: float) -> float:
-    """Factor >= 1 on a predicted covariance by the innovation's squared distance: Student's t."""
-    return max(1.0, (tail + distance2) / (tail + 3.0))

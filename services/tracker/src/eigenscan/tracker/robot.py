@@ -393,7 +393,7 @@ class RobotTracker:
         # between lists of other surfaces all poses move: that some go on shows little, but that none does
         count = goes_on(before, seen.poses, moved, 0.0 if alike else THICK_M)
         parts = self._agreement.parts(seen.lidar, last)
-        broken = is_broken(count, moved, parts, alike=alike)
+        broken = is_broken(count, moved, parts)
         if broken:
             self._counts["continuity_broken"] += 1
             source.scans = 1

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from eigenscan.tracker.continuity import are_neighbours
-from eigenscan.tracker.evidence import LEAST_MASS, likelihood_at
+from eigenscan.tracker.evidence import likelihood_at
 from eigenscan.tracker.observation import Observation
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.planar import IDENTITY, Pose, scaled
@@ -44,6 +44,11 @@ PLACES = 16
 """Tracks at most at whose poses a search of the whole map also looks.
 
 Half of the lists without the right place have it if they look there (benchmarks/single_scan.py --stages).
+"""
+POSSIBLE = 0.01
+"""Mass of a track from which a search looks at its pose: a wrong place, too, is found oftener where it looks.
+
+With 1e-4 a half map has more false claims (benchmarks/maps.py --way "every other 30 m missing").
 """
 NOWHERE = np.zeros((0, 3))
 FITS = 13.0
@@ -152,7 +157,7 @@ class Searches:
 
 def _places(tracks: Tracks, frame: int) -> Array:
     """Poses (n, 3) of the heaviest tracks in a map frame."""
-    likely = np.flatnonzero((tracks.frame == frame) & (tracks.log_weight > LEAST_MASS))
+    likely = np.flatnonzero((tracks.frame == frame) & (tracks.log_weight > np.log(POSSIBLE)))
     heaviest: Array = tracks.x[likely[np.argsort(-tracks.log_weight[likely], kind="stable")][:PLACES]]
     return heaviest
 

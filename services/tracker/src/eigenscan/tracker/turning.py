@@ -9,8 +9,7 @@ from __future__ import annotations
 from math import degrees, radians, sqrt
 
 import numpy as np
-from eigenscan.tracker.calibration import FIRST, SCALE, SCALE_OFF, SIGMAS
-from eigenscan.tracker.evidence import TAIL
+from eigenscan.tracker.calibration import FIRST, SCALE, SCALE_OFF, SIGMAS, TAIL
 from eigenscan.tracker.scan_motion import SIGMA_RAD
 from numpy.typing import NDArray
 

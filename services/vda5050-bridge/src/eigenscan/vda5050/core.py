@@ -128,6 +128,8 @@ class Vda5050Core:
     def _tick(self) -> None:
         self._silent += 1
         self._since_state += 1.0
+        if self._is_silent:  # as before the first pose
+            self._now.driving, self._before = False, None
         for action in self._now.actions.setting:
             action.ticks += 1
             if action.ticks >= self._settings.position_s:

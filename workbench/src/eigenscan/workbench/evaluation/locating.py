@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,6 @@ from eigenscan.mapbuilder.mapping.given_map import Located
 from eigenscan.schemas.channels import ODOMETRY
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.workbench.evaluation.chosen import PipelineSettings
-from eigenscan.workbench.evaluation.log import Log
 from eigenscan.workbench.evaluation.models import build
 from eigenscan.workbench.evaluation.pipeline import Pipeline
 
@@ -21,18 +20,19 @@ SURE = 0.9
 
 def locate(
     map_file: Path,
-    log: Log,
+    received: Sequence[Envelope],
     sweeps: list[Sweep],
     moved: Callable[[str], Callable[[float], None]],
     with_odometry: bool = True,
 ) -> Located:
     """Where the tracker is sure of the sweeps' poses on a map_server yaml, or on a model folder's map.
 
-    `moved` starts a progress bar by its title. Raises MapError or ModelError.
+    `received`: the log's raw scans and odometry. `moved` starts a progress bar by its title.
+    Raises MapError or ModelError.
     """
     settings = PipelineSettings()
     built = build(map_file, settings.mapbuilder, moved("model"))
-    stream = Pipeline(built.models, settings).run(_played(log, moved("locating"), with_odometry)).stream
+    stream = Pipeline(built.models, settings).run(_played(received, moved("locating"), with_odometry)).stream
     sure = np.flatnonzero(stream.localized & (stream.confidence >= SURE))
     rows = {int(stream.stamps[row]): int(row) for row in sure}
     numbers = [number for number, sweep in enumerate(sweeps) if sweep.stamp in rows]
@@ -45,8 +45,9 @@ def locate(
     )
 
 
-def _played(log: Log, moved: Callable[[float], None], with_odometry: bool) -> Iterator[Envelope]:
-    received = log.whole
+def _played(
+    received: Sequence[Envelope], moved: Callable[[float], None], with_odometry: bool
+) -> Iterator[Envelope]:
     for count, envelope in enumerate(received, 1):
         if with_odometry or envelope.channel is not ODOMETRY:
             yield envelope

@@ -15,7 +15,7 @@ from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.mapbuilder.mapping.chain import Sweep
 from eigenscan.mapbuilder.mapping.cloud import Outline
 from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
-from eigenscan.schemas.envelope import nanoseconds
+from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.workbench.evaluation.reference import Trajectory
 from eigenscan.workbench.logs import LogError, LogOptions, open_log
@@ -74,10 +74,15 @@ class Scans:
 
 
 def read_scans(
-    path: Path, options: LogOptions, moved: Callable[[float], None], with_odometry: bool = True
+    path: Path,
+    options: LogOptions,
+    moved: Callable[[float], None],
+    with_odometry: bool = True,
+    received: list[Envelope] | None = None,
 ) -> Scans:
     """Reads the scans of any log that `eigenscan import` reads; `moved` is called with the progress, 0..1.
 
+    Its messages are added to `received`, since to read a compressed log again takes its time.
     Raises LogError if the log cannot be read or has no usable scan.
     """
     opened, ingest = open_log(path, options), ScanIngestCore(ScanIngestSettings())
@@ -85,6 +90,8 @@ def read_scans(
     steps: list[tuple[int, NDArray[np.float64]]] = []
     for envelope in opened.envelopes():
         moved(opened.progress)
+        if received is not None:
+            received.append(envelope)
         if envelope.channel is ODOMETRY:
             steps.append((envelope.stamp, from_pose3(envelope.open(Odometry).pose)))
         elif envelope.channel is SCAN_RAW:
@@ -98,16 +105,16 @@ def read_scans(
         for name, count in counters.items()
         if name.startswith("set_aside_")
     }
-    received = counters["heard"]
+    count = counters["heard"]
     if not scans:
         raise LogError(
-            f"{path}: none of its {received} scans can be used "
+            f"{path}: none of its {count} scans can be used "
             f"({', '.join(sorted(reasons))}): check the topic with --lidar-topic"
         )
     stamps = np.array([nanoseconds(scan.timestamp) for scan in scans], dtype=np.int64)
     known = odometry_at(steps if with_odometry else (), stamps)
     sweeps = [_sweep(scan, place) for scan, place in zip(scans, known, strict=True)]
-    return Scans(sweeps, received, Counter(reasons), dict(opened.logged), opened.damage)
+    return Scans(sweeps, count, Counter(reasons), dict(opened.logged), opened.damage)
 
 
 def odometry_at(
