@@ -430,3 +430,20 @@ def test_half_of_a_pair_of_files_is_named_with_its_fix(
     for each in words:
         assert each in failed.stderr
     assert content(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("damaged", "words"),
+    [
+        ("authority/ca.key", "ca.key: is no key that can be read: put it back from a copy; else make"),
+        ("authority/ca.crt", "ca.crt: is no certificate: put it back from a copy"),
+    ],
+)
+def test_a_damaged_file_of_the_authority_is_named_with_its_fix(
+    folder: Path, damaged: str, words: str
+) -> None:
+    """An empty key, as a full disk leaves one, was called a fault of ours."""
+    (folder / damaged).write_bytes(b"")
+    failed = run("certify", "--robot", "r40", "-o", folder)
+    assert failed.exit_code == 2, failed.stderr
+    assert words in failed.stderr

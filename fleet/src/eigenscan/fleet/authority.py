@@ -18,6 +18,7 @@ from eigenscan.runtime.errors import UsageError
 
 try:
     from cryptography import x509
+    from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec
     from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -29,6 +30,9 @@ SLOW_CLOCK = timedelta(days=1)
 """Certificates are valid from this long before now, for machines with a slow clock."""
 LONGEST_NAME = 64
 """Longest common name (RFC 5280, ub-common-name)."""
+
+
+PUT_BACK = "put it back from a copy; else make a fleet in a new folder"
 
 
 @dataclass(frozen=True)
@@ -61,10 +65,11 @@ class Authority:
         """Reads what `save` wrote. Raises UsageError that names the bad file."""
         for path in (folder / "ca.key", folder / "ca.crt"):
             if not path.exists():
-                raise UsageError(
-                    f"{path}: is not there: put it back from a copy; else make a fleet in a new folder"
-                )
-        key = serialization.load_pem_private_key((folder / "ca.key").read_bytes(), password=None)
+                raise UsageError(f"{path}: is not there: {PUT_BACK}")
+        try:
+            key = serialization.load_pem_private_key((folder / "ca.key").read_bytes(), password=None)
+        except (ValueError, TypeError, UnsupportedAlgorithm) as error:  # TypeError: it has a password
+            raise UsageError(f"{folder / 'ca.key'}: is no key that can be read: {PUT_BACK}") from error
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise UsageError(
                 f"{folder / 'ca.key'}: is no elliptic curve key: give the folder that certify made"
@@ -102,7 +107,7 @@ def read_certificate(path: Path) -> x509.Certificate:
     try:
         return x509.load_pem_x509_certificate(path.read_bytes())
     except ValueError as error:
-        raise UsageError(f"{path}: is no certificate: {error}") from error
+        raise UsageError(f"{path}: is no certificate: put it back from a copy") from error
 
 
 def common_name(path: Path) -> str:
