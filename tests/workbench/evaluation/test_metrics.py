@@ -1,5 +1,8 @@
 import numpy as np
 import pytest
+from eigenscan.geometry.pose import to_message
+from eigenscan.schemas.envelope import stamp
+from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, PoseEstimate
 from eigenscan.workbench.evaluation.figures import finite
 from eigenscan.workbench.evaluation.metrics import (
     Stream,
@@ -11,6 +14,7 @@ from eigenscan.workbench.evaluation.metrics import (
     summary,
     sustained,
 )
+from eigenscan.workbench.evaluation.pipeline import _Published, _stream
 from eigenscan.workbench.evaluation.reference import NS, Trajectory
 from hypothesis import given
 from hypothesis import strategies as st
@@ -90,6 +94,23 @@ def test_convergence_ends_with_a_lapse_of_claim_or_of_truth() -> None:
     offsets = np.zeros((10, 3))
     offsets[8, 1] = 0.6
     assert judge(stream(truth, offsets, claims), truth).converged is None
+
+
+def test_a_pipeline_that_falls_silent_is_not_right_to_the_end() -> None:
+    """Scans that scan-ingest sets aside bring no pose: without them, its last pose would end the window."""
+    truth = reference(600)
+    spoken = [
+        _Published(PoseEstimate(timestamp=stamp(own), pose=to_message(pose), state=STATE_LOCALIZED), 0.0)
+        for own, pose in zip(truth.stamps[:40].tolist(), truth.poses[:40], strict=True)
+    ]
+    whole = _stream(spoken, np.full(40, np.nan), truth.stamps)
+    assert judge(whole, truth).right_claims.sum() == 40
+    assert judge(whole, truth).converged is None
+    # the next second's scans have their answer
+    assert len(whole) == 600 - 10
+    assert whole.stamps[-1] == truth.stamps[-1]
+    to_its_end = _stream(spoken, np.full(40, np.nan), truth.stamps[:45])
+    assert judge(to_its_end, truth).converged == 0
 
 
 def test_what_has_no_reference_is_not_judged() -> None:

@@ -22,7 +22,7 @@ from eigenscan.schemas.tracking_pb2 import STATE_LOCALIZED, STATE_UNSPECIFIED
 from eigenscan.workbench.evaluation.figures import Figures, kidnap_figures, window_row, windows_figures
 from eigenscan.workbench.evaluation.kidnap import Splice, outcome, plan, splice
 from eigenscan.workbench.evaluation.log import Log
-from eigenscan.workbench.evaluation.metrics import Stream, judge, summary
+from eigenscan.workbench.evaluation.metrics import Stream, filled, judge, summary
 from eigenscan.workbench.evaluation.reference import (
     NS,
     EvaluationError,
@@ -37,8 +37,6 @@ from numpy.typing import NDArray
 REQUIRED = ("stamp", "x", "y", "heading")
 OPTIONAL = ("confidence", "localized", "window", "cpu_ms")
 RUN = re.compile(r"(?:(window|kidnap)-)?(\d+)")
-LONGEST_GAP_S = 1.0
-"""Without a pose for longer than this, a program claims nothing: three poses at the end are no success."""
 LARGEST_HEADING = 2 * np.pi
 """rad; anything larger is most likely in degrees."""
 
@@ -242,43 +240,24 @@ def judge_claims(
 
 
 def stream_of(claims: Sequence[Claim], scans: NDArray[np.int64]) -> Stream:
-    """Claims by stamp, and a pose that is not claimed for each of the `scans` (n,), ns, that nothing covers.
-
-    A pose covers the scans within LONGEST_GAP_S of it.
-    """
+    """Claims by stamp, and what is missing of the `scans` (n,), ns: see `filled`."""
     rows = sorted(claims, key=lambda claim: claim.stamp)
     stamps = np.array([claim.stamp for claim in rows], dtype=np.int64)
-    silent = scans[~_near(scans, stamps, round(LONGEST_GAP_S * NS))]
-    given, missing = len(rows), len(silent)
-    order = np.argsort(np.concatenate([stamps, silent]), kind="stable")
-    all_stamps = np.concatenate([stamps, silent])
-    confidence = np.array([claim.confidence for claim in rows] + [np.nan] * missing, dtype=np.float64)
-    localized = np.array([claim.is_localized for claim in rows] + [False] * missing, dtype=np.bool_)
-    spent = np.cumsum([claim.cpu_ms for claim in rows] + [0.0] * missing) / 1e3
+    confidence = np.array([claim.confidence for claim in rows], dtype=np.float64)
+    localized = np.array([claim.is_localized for claim in rows], dtype=np.bool_)
     stream = Stream(
-        stamps=all_stamps,
-        poses=np.vstack([np.array([c.pose for c in rows]).reshape(given, 3), np.zeros((missing, 3))]),
+        stamps=stamps,
+        poses=np.array([claim.pose for claim in rows]).reshape(-1, 3),
         states=np.where(localized, STATE_LOCALIZED, STATE_UNSPECIFIED).astype(np.int64),
         localized=localized,
         tracked=np.isfinite(confidence),
         confidence=confidence,
-        covariances=np.full((given + missing, 3, 3), np.nan),
-        nis=np.full(given + missing, np.nan),
-        cpu_s=spent,
-        scans=np.searchsorted(scans, all_stamps),
+        covariances=np.full((len(rows), 3, 3), np.nan),
+        nis=np.full(len(rows), np.nan),
+        cpu_s=np.cumsum([claim.cpu_ms for claim in rows]) / 1e3,
+        scans=np.searchsorted(scans, stamps),
     )
-    return Stream(**{name: values[order] for name, values in vars(stream).items()})
-
-
-def _near(wanted: NDArray[np.int64], there: NDArray[np.int64], within: int) -> NDArray[np.bool_]:
-    """Which of `wanted` (n,) have one of `there` (m,), increasing, at most `within` away; all ns."""
-    if not len(there):
-        return np.zeros(len(wanted), dtype=np.bool_)
-    right = np.clip(np.searchsorted(there, wanted), 0, len(there) - 1)
-    left = np.maximum(right - 1, 0)
-    distance = np.minimum(np.abs(there[right] - wanted), np.abs(there[left] - wanted))
-    near: NDArray[np.bool_] = distance <= within
-    return near
+    return filled(stream, scans)
 
 
 def _spliced_scans(spliced: Splice) -> NDArray[np.int64]:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from eigenscan.geometry.circle import difference
+from eigenscan.schemas.tracking_pb2 import STATE_UNSPECIFIED
 from eigenscan.workbench.evaluation.reference import NS, Trajectory
 from numpy.typing import ArrayLike, NDArray
 
@@ -28,6 +29,8 @@ Three right scans at the end of a minute are chance: by that rule half a map suc
 windows.
 """
 BINS = 10
+LONGEST_GAP_S = 1.0
+"""A pose answers for the scans within this of it."""
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -62,6 +65,44 @@ class Stream:
 
     def __len__(self) -> int:
         return len(self.stamps)
+
+
+def filled(stream: Stream, scans: NDArray[np.int64]) -> Stream:
+    """The stream with a pose that is not claimed for each of the `scans` (n,), ns, that no pose answers for.
+
+    Else a pipeline that falls silent would be right to the end by its last pose.
+    """
+    silent = scans[~_near(scans, np.sort(stream.stamps), round(LONGEST_GAP_S * NS))]
+    if not len(silent):
+        return stream
+    n, unknown = len(silent), np.full(len(silent), np.nan)
+    none = Stream(
+        stamps=silent,
+        poses=np.zeros((n, 3)),
+        states=np.full(n, STATE_UNSPECIFIED, dtype=np.int64),
+        localized=np.zeros(n, dtype=np.bool_),
+        tracked=np.zeros(n, dtype=np.bool_),
+        confidence=unknown,
+        covariances=np.full((n, 3, 3), np.nan),
+        nis=unknown,
+        cpu_s=np.append(0.0, stream.cpu_s)[np.searchsorted(stream.stamps, silent)],
+        scans=np.searchsorted(scans, silent),
+    )
+    order = np.argsort(np.concatenate([stream.stamps, silent]), kind="stable")
+    return Stream(
+        **{name: np.concatenate([own, vars(none)[name]])[order] for name, own in vars(stream).items()}
+    )
+
+
+def _near(wanted: NDArray[np.int64], there: NDArray[np.int64], within: int) -> Bools:
+    """Which of `wanted` (n,) have one of `there` (m,), increasing, at most `within` away; all ns."""
+    if not len(there):
+        return np.zeros(len(wanted), dtype=np.bool_)
+    right = np.clip(np.searchsorted(there, wanted), 0, len(there) - 1)
+    left = np.maximum(right - 1, 0)
+    distance = np.minimum(np.abs(there[right] - wanted), np.abs(there[left] - wanted))
+    near: Bools = distance <= within
+    return near
 
 
 @dataclass(frozen=True)

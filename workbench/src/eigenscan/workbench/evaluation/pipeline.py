@@ -22,7 +22,7 @@ from eigenscan.schemas.wire import decode, encode
 from eigenscan.tracker.core import TrackerCore
 from eigenscan.workbench.evaluation.chosen import PipelineSettings
 from eigenscan.workbench.evaluation.explained import explained_at_claims
-from eigenscan.workbench.evaluation.metrics import Stream
+from eigenscan.workbench.evaluation.metrics import Stream, filled
 from eigenscan.workbench.evaluation.remembering import Remembering
 from eigenscan.workbench.evaluation.reported import Reported
 from numpy.typing import NDArray
@@ -197,7 +197,7 @@ def _stream(
     estimates = [each.estimate for each in answers_published]
     stamps = np.asarray([nanoseconds(e.timestamp) for e in estimates], dtype=np.int64)
     states = np.asarray([e.state for e in estimates], dtype=np.int64)
-    return Stream(
+    stream = Stream(
         stamps=stamps,
         poses=np.asarray([from_message(e.pose) for e in estimates], dtype=np.float64).reshape(-1, 3),
         states=states,
@@ -211,3 +211,4 @@ def _stream(
         cpu_s=np.asarray([each.cpu_s for each in answers_published], dtype=np.float64),
         scans=np.searchsorted(scans, stamps),
     )
+    return filled(stream, scans)
