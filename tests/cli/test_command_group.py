@@ -79,8 +79,19 @@ def test_the_usage_line_has_no_python_in_it(command: str, usage: str) -> None:
     assert not re.search(r"<(path|str|list\[)", shown)
 
 
+def _raise_within_compiled_code(error: BaseException, layers: int) -> None:
+    """As numba's calls do: "returned a result with an exception set", of up to two functions."""
+    if not layers:
+        raise error
+    try:
+        _raise_within_compiled_code(error, layers - 1)
+    except BaseException as inner:
+        raise SystemError("returned a result with an exception set") from inner
+
+
+@pytest.mark.parametrize("layers", [0, 1, 2])
 def test_ctrl_c_ends_with_what_was_done_and_130(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], layers: int
 ) -> None:
     from eigenscan.cli.main import app
     from eigenscan.workbench.progress import Bars
@@ -91,7 +102,7 @@ def test_ctrl_c_ends_with_what_was_done_and_130(
             advance = bars.start("windows", 25)
             for _step in range(3):
                 advance()
-            raise KeyboardInterrupt
+            _raise_within_compiled_code(KeyboardInterrupt(), layers)
 
     monkeypatch.setattr("eigenscan.cli.repair.repair", work)
     monkeypatch.setattr(sys, "argv", ["eigenscan", "repair"])
@@ -101,19 +112,15 @@ def test_ctrl_c_ends_with_what_was_done_and_130(
     assert capsys.readouterr().err == "eigenscan repair: ended by Ctrl-C: log 40 %, windows 3 of 25\n"
 
 
+@pytest.mark.parametrize("layers", [1, 2])
 @pytest.mark.parametrize(
     ("signalled", "code", "words"),
     [(KeyboardInterrupt(), 130, "eigenscan repair: ended by Ctrl-C\n"), (SystemExit(143), 143, "")],
 )
 def test_a_signal_within_compiled_code_is_no_fault_of_ours(
-    monkeypatch: pytest.MonkeyPatch, signalled: BaseException, code: int, words: str
+    monkeypatch: pytest.MonkeyPatch, signalled: BaseException, code: int, words: str, layers: int
 ) -> None:
-    """Python puts a SystemError over it: 'CPUDispatcher returned a result with an exception set'."""
-
-    def work() -> None:
-        raise SystemError("returned a result with an exception set") from signalled
-
-    monkeypatch.setattr("eigenscan.cli.repair.repair", work)
+    monkeypatch.setattr("eigenscan.cli.repair.repair", lambda: _raise_within_compiled_code(signalled, layers))
     ended = eigenscan("repair")
     assert (ended.returncode, ended.stderr) == (code, words)
 

@@ -15,7 +15,7 @@ import typer
 from eigenscan.cli import paths
 from eigenscan.cli.entry import EXIT_STOPPED, EXIT_UNREAD, STDOUT
 from eigenscan.cli.former import current
-from eigenscan.runtime.errors import FailedError, by_users, one_line
+from eigenscan.runtime.errors import FailedError, by_users, one_line, signal_within
 from eigenscan.runtime.settings import nearest, plain
 from typer.core import TyperCommand, TyperGroup
 
@@ -63,12 +63,12 @@ def _described(error: Exception, command: str, is_known: bool) -> tuple[str, int
 
 @contextmanager
 def _signals_of_compiled_code() -> Iterator[None]:
-    """Raises what a signal raised within compiled code, where Python has a SystemError over it."""
+    """Raises what a signal raised there."""
     try:
         yield
     except SystemError as error:
-        if isinstance(error.__cause__, KeyboardInterrupt | SystemExit):
-            raise error.__cause__ from None
+        if signalled := signal_within(error):
+            raise signalled from None
         raise
 
 

@@ -19,6 +19,13 @@ class StoppedError(KeyboardInterrupt):
     """Ctrl-C; the message gives what was done before it."""
 
 
+def signal_within(error: BaseException | None) -> BaseException | None:
+    """What a signal's handler raised, if it did; within compiled code Python has SystemErrors over it."""
+    while isinstance(error, SystemError):
+        error = error.__cause__
+    return error if isinstance(error, KeyboardInterrupt | SystemExit) else None
+
+
 def by_users(error: Exception) -> bool:
     """Whether `error` is about the input, and so needs no trace.
 

@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 
-from eigenscan.runtime.errors import StoppedError
+from eigenscan.runtime.errors import StoppedError, signal_within
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -53,10 +53,10 @@ class Bars:
         self._progress.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         """Raises StoppedError, which states how far each bar is, in a KeyboardInterrupt's place."""
         self._progress.stop()
-        if kind is KeyboardInterrupt:
+        if type(signal_within(error)) is KeyboardInterrupt:
             raise StoppedError(", ".join(map(_how_far, self._progress.tasks))) from None
 
     def start(self, title: str, total: int) -> Callable[[], None]:
