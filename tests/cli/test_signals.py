@@ -7,6 +7,9 @@ import sys
 import psutil
 import pytest
 
+HEEDING = "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
+"""The tests themselves may run under nohup."""
+IGNORING = HEEDING.replace("SIG_DFL", "SIG_IGN")
 WITH_A_CHILD = """
 import sys, time
 from eigenscan.cli import entry, main
@@ -25,7 +28,8 @@ entry.main()
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_candidate_ends_with_the_command_that_judges_it(number: signal.Signals) -> None:
     """By `timeout` or a closed terminal it was left behind, and ran for ever."""
-    with subprocess.Popen([sys.executable, "-c", WITH_A_CHILD], stdout=subprocess.PIPE, text=True) as command:
+    program = [sys.executable, "-c", HEEDING + WITH_A_CHILD]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as command:
         assert command.stdout is not None
         child = psutil.Process(int(command.stdout.readline()))
         try:
@@ -38,7 +42,6 @@ def test_a_candidate_ends_with_the_command_that_judges_it(number: signal.Signals
                 child.kill()
 
 
-IGNORING = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
 SIGNALLED = """
 import os, signal
 from eigenscan.cli import entry, main
@@ -47,6 +50,6 @@ entry.main()
 """
 
 
-@pytest.mark.parametrize(("before", "code"), [(IGNORING, 0), ("", -signal.SIGHUP)])
+@pytest.mark.parametrize(("before", "code"), [(IGNORING, 0), (HEEDING, -signal.SIGHUP)])
 def test_nohup_is_heeded(before: str, code: int) -> None:
     assert subprocess.run([sys.executable, "-c", before + SIGNALLED], check=False).returncode == code
