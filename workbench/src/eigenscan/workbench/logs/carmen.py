@@ -150,7 +150,7 @@ class CarmenLog:
         scans = np.isin(survey.kinds, list(taken)) & (times != logged)
         self.logged = dict(zip(times[scans].tolist(), logged[scans].tolist(), strict=True))
         horizon = int(np.max(np.maximum.accumulate(times) - times))
-        yield from in_order(self._convert(survey, taken, times), horizon, self.counters)
+        yield from in_order(self._convert(survey, taken, times), horizon, self.counters, self.logged)
         self.progress = 1.0
 
     def _convert(

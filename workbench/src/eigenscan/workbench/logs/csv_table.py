@@ -204,7 +204,8 @@ class CsvLog:
     def envelopes(self) -> Iterator[Envelope]:
         """SCAN_RAW and ODOMETRY by stamp. Raises LogError that names line and column."""
         self.counters.clear()
-        yield from in_order(self._convert(), RECORDER_LAG_NS, self.counters)
+        self.logged.clear()
+        yield from in_order(self._convert(), RECORDER_LAG_NS, self.counters, self.logged)
         self.progress = 1.0
 
     def _convert(self) -> Iterator[Envelope]:

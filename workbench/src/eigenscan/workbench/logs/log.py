@@ -14,6 +14,7 @@ from eigenscan.geometry.pose import to_message, to_pose3
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, ODOMETRY, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.workbench.logs.set_back import SetBack
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from numpy.typing import ArrayLike, NDArray
 
@@ -67,8 +68,8 @@ class Log(Protocol):
     def envelopes(self) -> Iterator[Envelope]:
         """SCAN_RAW and ODOMETRY by stamp; at equal stamps odometry comes first.
 
-        Stamps of one key increase. If a log's do not, they are repaired (see `stamps`). Raises LogError if
-        the log has no scan.
+        Stamps of one key increase. If a log's do not, they are repaired (see `stamps` and `set_back`). Raises
+        LogError if the log has no scan.
         """
         ...
 
@@ -107,10 +108,13 @@ def odometry(options: LogOptions, time: int, pose: ArrayLike, **fields: Any) -> 
     return Envelope(ODOMETRY, {"site": options.site, "robot": options.robot}, message)
 
 
-def in_order(envelopes: Iterable[Envelope], horizon: int, counters: Counter[str]) -> Iterator[Envelope]:
+def in_order(
+    envelopes: Iterable[Envelope], horizon: int, counters: Counter[str], logged: dict[int, int]
+) -> Iterator[Envelope]:
     """Sorts envelopes that are out of order by up to `horizon` ns; at equal stamps odometry comes first.
 
-    Later ones, and repeated stamps of a key, are counted and left out.
+    After a clock was set back, time goes on (see `set_back`). Lone late ones, and repeated stamps of a key,
+    are counted and left out.
     """
     waiting: list[tuple[int, bool, int, Envelope]] = []
     newest = 0
@@ -127,7 +131,7 @@ def in_order(envelopes: Iterable[Envelope], horizon: int, counters: Counter[str]
             reason = "duplicate_stamp" if time == before else "out_of_order"
             counters[f"{envelope.channel.name}_{reason}"] += 1
 
-    for number, envelope in enumerate(envelopes):
+    for number, envelope in enumerate(SetBack(horizon, counters, logged).going_on(envelopes)):
         time = envelope.stamp
         newest = max(newest, time)
         heapq.heappush(waiting, (time, envelope.channel is not ODOMETRY, number, envelope))

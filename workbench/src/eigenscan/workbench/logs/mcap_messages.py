@@ -8,14 +8,17 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import chain
+from operator import itemgetter
 from pathlib import Path
 from typing import IO
 
 from eigenscan.runtime.recording.files import MOST_CHUNK_BYTES, MOST_CHUNK_TIMES, refuse_bombs
-from eigenscan.workbench.logs.log import LogError
+from eigenscan.workbench.logs.log import RECORDER_LAG_NS, LogError
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Channel, Message, Schema, Statistics
+from mcap.records import Channel, Message, MessageIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from zstandard import ZstdDecompressor, ZstdError
 
@@ -83,11 +86,14 @@ class McapFile:
         return self._known
 
     def messages(self, topics: list[str] | None) -> Iterator[Item]:
-        """Messages of `topics` (None: all)."""
+        """Messages of `topics` (None: all), by time of recording unless that was set back."""
         with self._copies.opened(self.path) as file:
             try:
                 if self._indexed:
-                    for number, item in enumerate(make_reader(file).iter_messages(topics=topics)):
+                    sort = not _goes_back(file)
+                    file.seek(0)
+                    found = make_reader(file).iter_messages(topics=topics, log_time_order=sort)
+                    for number, item in enumerate(found):
                         self.progress = min(number / max(self._total, 1), 1.0)
                         yield item
                 else:
@@ -108,6 +114,22 @@ class McapFile:
                 if topics is None or channel.topic in topics:
                     self.progress = file.tell() / self._size
                     yield schemas.get(channel.schema_id), channel, record
+
+
+def _goes_back(file: IO[bytes]) -> bool:
+    """Whether the recorder's clock was set back: a channel's times of recording lie before earlier ones."""
+    newest: dict[int, int] = {}
+    with suppress(*DAMAGE):
+        summary = make_reader(file).get_summary()
+        places = [chunk.message_index_offsets for chunk in summary.chunk_indexes] if summary else []
+        for channel, place in chain.from_iterable(each.items() for each in places):
+            file.seek(place + 1 + 8)  # behind the record's kind and length
+            index = MessageIndex.read(ReadDataStream(file))
+            for time, _ in sorted(index.records, key=itemgetter(1)):  # in the order of the chunk
+                if time < newest.get(channel, time) - RECORDER_LAG_NS:
+                    return True
+                newest[channel] = max(time, newest.get(channel, time))
+    return False
 
 
 class Copies:

@@ -46,7 +46,7 @@ class RecordingLog:
         self.damage = ""
         robot = self._robot()
         self._imported = self._is_import()
-        yield from in_order(self._of(robot), RECORDER_LAG_NS, self.counters)
+        yield from in_order(self._of(robot), RECORDER_LAG_NS, self.counters, self.logged)
         if not self.counters["damaged_file"] and not self._is_complete():  # it was cut, or its writer killed
             self.counters["truncated_file"] += 1
         self.progress = 1.0

@@ -1,7 +1,8 @@
 """ROS bags of any container: LaserScan and Odometry; without Odometry, the base's motion in tf.
 
 **Mounts** are the first transforms to each lidar's frame. **Stamps** are the headers', unless they are zero
-or the topics' clocks disagree: then the time of recording counts for the topic that is off.
+or the topics' clocks disagree: then the time of recording counts for the topic that is off. A stray stamp is
+put where its topic's pace has it (see `pace`).
 """
 
 from __future__ import annotations
@@ -25,10 +26,8 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.workbench.logs.bag import Bag, BagMessage
 from eigenscan.workbench.logs.log import RECORDER_LAG_NS, LogOptions, in_order, odometry, place
 from eigenscan.workbench.logs.ros_survey import MOVES, Lidar, Plan, survey_bag
+from eigenscan.workbench.logs.pace import Pace, Stamped
 from numpy.typing import NDArray
-
-STRAY_STAMP_NS = 10_000_000_000
-"""A stamp this far off the topic's usual lag behind the recorder is not believed."""
 
 
 class RosLog:
@@ -52,10 +51,12 @@ class RosLog:
         self.counters.clear()
         self._finished = False
         self._stamping = Stamping()
+        self.logged.clear()
         plan = survey_bag(self._bag, self._options, self.counters)
         self._bag.counters.clear()
         messages = self._bag.messages([*plan.lidars, *plan.odometry])
-        yield from in_order(self._convert(messages, plan), RECORDER_LAG_NS, self.counters)
+        self._pace = Pace(plan.stamped)
+        yield from in_order(self._convert(messages, plan), RECORDER_LAG_NS, self.counters, self.logged)
         self.counters.update(self._bag.counters)
         self._finished = True
 
@@ -65,7 +66,7 @@ class RosLog:
             if hasattr(body, "transforms"):
                 yield from self._odometry_of_transforms(message, plan)
                 continue
-            time = self._time(message.topic, body.header, message.time, plan)
+            time = self._time(message.topic, body.header, message.time)
             if time is None:
                 continue
             if message.topic in plan.lidars:
@@ -79,14 +80,14 @@ class RosLog:
                 pose = body.pose.pose
                 yield from self._odometry(pose.position, pose.orientation, time, body.pose.covariance)
 
-    def _time(self, topic: str, header: Any, recorded: int, plan: Plan) -> int | None:
+    def _time(self, topic: str, header: Any, recorded: int) -> int | None:
         """Stamp of a message, ns; None if it has none."""
         time = recorded
-        if topic in plan.offsets:
-            stamp, usual = header_stamp(header), recorded + plan.offsets[topic]
-            stray = abs(stamp - usual) > STRAY_STAMP_NS
-            self.counters["stray_stamps"] += stray
-            time = usual if stray else stamp
+        if topic in self._pace:
+            time = header_stamp(header)
+            if self._pace.is_stray(topic, Stamped(recorded, time)):
+                self.counters["stray_stamps"] += 1
+                time = self._pace.due(topic, recorded)
         if time > 0:
             return time
         self.counters["no_stamp"] += 1
@@ -112,6 +113,6 @@ class RosLog:
         for item in message.message.transforms:
             frames = (frame_name(item.header.frame_id), frame_name(item.child_frame_id))
             if frames == (plan.moves_in, plan.base):
-                time = self._time(MOVES, item.header, message.time, plan)
+                time = self._time(MOVES, item.header, message.time)
                 if time is not None:
                     yield from self._odometry(item.transform.translation, item.transform.rotation, time)

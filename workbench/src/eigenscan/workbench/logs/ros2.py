@@ -14,7 +14,7 @@ from typing import Any
 from eigenscan.geometry.gridmap import MOST_NESTED, nesting
 from eigenscan.workbench.logs.bag import KINDS, BagMessage, Decoder, decoded, decoder, kind_of
 from eigenscan.workbench.logs.foxglove import FOXGLOVE
-from eigenscan.workbench.logs.log import LogError
+from eigenscan.workbench.logs.log import RECORDER_LAG_NS, LogError
 from eigenscan.workbench.logs.mcap_messages import Copies, McapFile
 
 MOST_METADATA_BYTES = 300_000
@@ -59,7 +59,7 @@ class Ros2Bag:
         return {topic: kind_of(kind) for topic, kind in found.items() if kind_of(kind) in KINDS}
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
-        """Messages by time of recording; salvaged ones in the order of the file."""
+        """Messages by time of recording; salvaged ones, or if it was set back, in the order of the file."""
         for topic, kind, time, data in self._raw(topics):
             yield from decoded(self.counters, topic, time, data, decoder(kind_of(kind), ros1=False))
 
@@ -69,6 +69,9 @@ class Ros2Bag:
 
         if self.path.is_dir() and not (self.path / "metadata.yaml").is_file():
             self.counters["no_metadata"] += 1
+            yield from self._salvaged(topics)
+            return
+        if any(_goes_back(file) for file in self._files()):
             yield from self._salvaged(topics)
             return
         given = 0
@@ -128,6 +131,14 @@ def _salvage(path: Path, topics: Collection[str]) -> Iterator[tuple[str, str, in
             yield *known[number], time, data
 
 
+def _goes_back(path: Path) -> bool:
+    """Whether the recorder's clock was set back: a topic's times of recording lie before earlier ones."""
+    steps = "SELECT timestamp - LAG(timestamp) OVER (PARTITION BY topic_id ORDER BY id) FROM messages"
+    with suppress(sqlite3.Error):
+        return any(step is not None and step < -RECORDER_LAG_NS for (step,) in _query(path, steps))
+    return False
+
+
 def _check_metadata(path: Path) -> None:
     """Raises LogError for a file that no recorder writes, for which a reader of YAML takes minutes."""
     if not path.is_file():
@@ -164,7 +175,7 @@ class McapBag:
         return {topic: found[0] for topic, found in understood.items() if found is not None}
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
-        """Messages by time of recording."""
+        """Messages by time of recording; in the order of the file if it was set back."""
         for file in self._files:
             for schema, channel, message in file.messages(list(topics)):
                 found = _understood(channel.message_encoding, schema.name if schema else "")

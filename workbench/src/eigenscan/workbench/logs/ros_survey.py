@@ -13,10 +13,13 @@ from eigenscan.geometry.transforms import TransformTree, planar
 from eigenscan.ros_bridge.inbound import frame_name, header_stamp, lidar_names
 from eigenscan.workbench.logs.bag import LASER_SCAN, MULTI_ECHO, ODOMETRY_MESSAGE, TRANSFORMS, Bag, BagMessage
 from eigenscan.workbench.logs.log import LogError, LogOptions
+from eigenscan.workbench.logs.pace import Stamped
 from numpy.typing import NDArray
 
 CLOCKS_APART_NS = 1_000_000_000
 SAME_PLANE_M = 0.5
+UNSTAMPED = 10
+"""Messages of a topic that show that none has a stamp: a lone 0 is the start of simulated time."""
 USUAL_BASES = ("base_footprint", "base_link", "base", "base_frame")
 ODOMETRY_FRAME = re.compile(r"(.*/)?odom\w*|.*[/_]odom")
 """Such as odom, robot_0/odom, odom_combined, wheel_odom."""
@@ -43,9 +46,7 @@ class Plan:
     odometry: list[str]  # topics of it: one of Odometry, or those of transforms
     base: str | None
     moves_in: str | None  # frame of odometry in the form of transforms
-    offsets: dict[
-        str, int
-    ]  # ns, by topic whose headers' stamps count: stamp minus time of recording, at first
+    stamped: dict[str, Stamped]  # a message of each topic whose headers' stamps count
 
 
 @dataclass
@@ -56,9 +57,11 @@ class Survey:
     tree: TransformTree = field(default_factory=TransformTree)
     frames: dict[str, str] = field(default_factory=dict)  # by lidar topic
     spans: dict[str, int] = field(default_factory=dict)  # deg, field of view by lidar topic
-    offsets: dict[str, int | None] = field(default_factory=dict)  # as in Plan; None: no stamp
-    # odometry frame, and offset as above, by the frame that transforms state moves in it
-    moves: dict[str, tuple[str, int | None]] = field(default_factory=dict)
+    # the newest message with a stamp by topic; None: there was none yet
+    stamped: dict[str, Stamped | None] = field(default_factory=dict)
+    unstamped: Counter[str] = field(default_factory=Counter)  # messages without one, by topic
+    # odometry frame, and message as above, by the frame that transforms state moves in it
+    moves: dict[str, tuple[str, Stamped | None]] = field(default_factory=dict)
     moved: str | None = None  # the frame that Odometry names as its child
 
     @property
@@ -76,13 +79,17 @@ class Survey:
         return next(iter([*moved, *usual, *self.moves]), None)
 
     def receive(self, message: BagMessage) -> None:
-        """Takes note of the first message of a topic, and of transforms."""
+        """Takes note of a message."""
         body = message.message
         if hasattr(body, "transforms"):
             for item in body.transforms:
                 self._receive_transform(item, message.time)
-        elif message.topic not in self.offsets:
-            self.offsets[message.topic] = _offset(body.header, message.time)
+            return
+        stamped = _stamped(body.header, message.time)
+        self.unstamped[message.topic] += stamped is None
+        is_new = message.topic not in self.stamped
+        self.stamped[message.topic] = stamped or self.stamped.get(message.topic)
+        if is_new:
             if hasattr(body, "ranges"):
                 self.frames[message.topic] = frame_name(body.header.frame_id)
                 self.spans[message.topic] = _span(body)
@@ -94,7 +101,9 @@ class Survey:
         base = self.base
         if len(self.frames) < len(lidars) or base is None:
             return False
-        moves = base in self.moves if odometry is None else odometry in self.offsets
+        if any(self.unstamped[topic] < UNSTAMPED for topic, found in self.stamped.items() if not found):
+            return False
+        moves = base in self.moves if odometry is None else odometry in self.stamped
         return moves and all(self.tree.between(base, frame) is not None for frame in self.frames.values())
 
     def _receive_transform(self, item: Any, recorded: int) -> None:
@@ -102,7 +111,8 @@ class Survey:
         parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
         self.tree.receive(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
         if ODOMETRY_FRAME.fullmatch(parent):
-            self.moves.setdefault(child, (parent, _offset(item.header, recorded)))
+            first, known = self.moves.get(child, (parent, None))
+            self.moves[child] = first, _stamped(item.header, recorded) or known
 
 
 def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
@@ -125,12 +135,12 @@ def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
     placed = _place(survey, counters)
     if not placed:
         raise LogError(f"{bag.path}: holds no horizontal laser scan ({LASER_SCAN}) that can be read")
-    offsets = {topic: survey.offsets[topic] for topic in (*placed, odometry) if topic in survey.offsets}
+    stamped = {topic: survey.stamped[topic] for topic in (*placed, odometry) if topic in survey.stamped}
     moves_in = None
     if odometry is None and survey.base in survey.moves:
-        moves_in, offsets[MOVES] = survey.moves[survey.base]
-    trusted = _trusted(offsets)
-    counters["topics_stamped_by_recording"] += len(offsets) - len(trusted)
+        moves_in, stamped[MOVES] = survey.moves[survey.base]
+    trusted = _trusted(stamped)
+    counters["topics_stamped_by_recording"] += len(stamped) - len(trusted)
     return Plan(placed, [odometry] if odometry else transforms, survey.base, moves_in, trusted)
 
 
@@ -193,18 +203,19 @@ def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
     return lidars
 
 
-def _trusted(offsets: dict[str, int | None]) -> dict[str, int]:
-    """Offsets of the topics with trusted headers: all if the clocks agree, else those near the recorder's."""
-    stamped = {topic: offset for topic, offset in offsets.items() if offset is not None}
-    agree = not stamped or max(stamped.values()) - min(stamped.values()) <= CLOCKS_APART_NS
-    if agree and len(stamped) == len(offsets):
+def _trusted(newest: dict[str, Stamped | None]) -> dict[str, Stamped]:
+    """Those of the topics with trusted headers: all if the clocks agree, else those near the recorder's."""
+    stamped = {topic: found for topic, found in newest.items() if found is not None}
+    offsets = [found.offset for found in stamped.values()]
+    agree = not stamped or max(offsets) - min(offsets) <= CLOCKS_APART_NS
+    if agree and len(stamped) == len(newest):
         return stamped
-    return {topic: offset for topic, offset in stamped.items() if abs(offset) <= CLOCKS_APART_NS}
+    return {topic: found for topic, found in stamped.items() if abs(found.offset) <= CLOCKS_APART_NS}
 
 
-def _offset(header: Any, recorded: int) -> int | None:
+def _stamped(header: Any, recorded: int) -> Stamped | None:
     stamp = header_stamp(header)
-    return stamp - recorded if stamp > 0 else None
+    return Stamped(recorded, stamp) if stamp > 0 else None
 
 
 def _span(body: Any) -> int:
