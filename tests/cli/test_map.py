@@ -110,6 +110,11 @@ def test_a_log_whose_beams_all_came_back_empty_is_refused_by_name(tmp_path: Path
     assert not (tmp_path / "map.yaml").exists()
 
 
+def test_what_the_reader_counted_is_reported_as_by_import(tmp_path: Path) -> None:
+    log = write(tmp_path / "a.clf", [robotlaser(np.full(180, 81.0), k) for k in (1, 2, 9, 4, 5)])
+    assert "stamps repaired: 1 (by the order of the lines)" in run(log, "-o", tmp_path / "a.yaml").stderr
+
+
 def test_one_scan_is_no_map(tmp_path: Path) -> None:
     log = write(tmp_path / "one.clf", [robotlaser(np.linspace(2.0, 3.0, 180), 1)])
     done = run(log, "-o", tmp_path / "map.yaml")

@@ -182,6 +182,15 @@ def test_each_reason_for_which_a_scan_is_set_aside_has_words() -> None:
     assert reasons <= WHY.keys()
 
 
+def test_of_one_scan_there_is_no_half() -> None:
+    ingest = core()
+    list(ingest.handle(received(raw(SECOND, ranges=[0.0] * 4))))
+    expected = (
+        "the only scan set aside (no_valid_range): ranges: none lies between range_min and range_max, in m"
+    )
+    assert ingest.condition().detail == expected
+
+
 def test_it_reports_when_most_is_set_aside_and_recovers() -> None:
     ingest = core()
     assert ingest.condition().status == Health.STATUS_WAITING

@@ -15,6 +15,7 @@ from eigenscan.workbench.evaluation.explained import LITTLE, explained_at_claims
 from eigenscan.workbench.evaluation.log import read_log
 from eigenscan.workbench.evaluation.report import remarks
 from eigenscan.workbench.logs import LogOptions
+from eigenscan.workbench.logs.remarks import remarks as of_reading
 
 from tests.workbench.logs.test_ros import START, usual
 
@@ -48,18 +49,19 @@ def test_the_likeliest_hypothesis_at_the_claimed_pose_counts() -> None:
     assert explained_at_claims([]).tolist() == []
 
 
-def test_a_lidar_that_is_not_in_tf_is_remarked(tmp_path: Path) -> None:
+def test_what_the_reader_counted_is_remarked_in_the_words_of_import(tmp_path: Path) -> None:
     story = usual(False, 1)
     story.scan("/lost/scan", START + 0.5, "lost")
-    counts = read_log(story.write(tmp_path / "a"), LogOptions(), lambda _: None).without_mount
-    assert counts == 1
+    log = read_log(story.write(tmp_path / "a"), LogOptions(lidars=("lost",)), lambda _: None)
+    assert log.set_aside == {"lidars_without_mount": 1}
     figures = {
-        "log": {"odometry": 9, "lidars_without_mount": counts},
+        "log": {"odometry": 9, "set_aside": log.set_aside},
         "map_explains": {"median": None, "p5": None},
         "normalised_innovation_squared": {"consistency": {"mean": None, "high": None}},
     }
     (remark,) = remarks(figures)
-    assert "states no mount" in remark
+    assert [remark] == [f"in the log, {line}" for line in of_reading(log.set_aside)]
+    assert "lidars without mount: 1 (" in remark
     assert "import --mount" in remark
 
 

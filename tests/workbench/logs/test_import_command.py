@@ -112,6 +112,20 @@ def test_ranges_in_millimetres_are_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*.mcap*"))
 
 
+@pytest.mark.parametrize(
+    ("range_", "why"), [("0.0", "ranges: none lies between range_min and range_max"), ("inf", "no beam")]
+)
+def test_scans_that_no_command_can_use_are_remarked(tmp_path: Path, range_: str, why: str) -> None:
+    names = ",".join(f"range_m_{j}" for j in range(4))
+    lines = [f"time_s,angle_min_deg,angle_increment_deg,{names}"]
+    lines += [f"{time},0,1," + ",".join([range_] * 4) for time in (1, 2, 3)]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    code, out, _ = run(tmp_path / "a.csv", "-o", tmp_path / "a.mcap")
+    assert code == 0
+    assert f"lidar lidar: none of its 3 scans can be used: {why}" in out
+    assert "can be used" not in run(log_of(tmp_path / "b.clf"), "-o", tmp_path / "b.mcap")[1]
+
+
 def test_a_log_without_odometry_is_reported_so(tmp_path: Path) -> None:
     code, out, _ = run(table_of(tmp_path / "a.csv", 1.0), "-o", tmp_path / "a.mcap")
     assert code == 0

@@ -14,6 +14,7 @@ from eigenscan.geometry.pose import from_message, from_pose3
 from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
 from eigenscan.schemas.scan_pb2 import RawScan
 from eigenscan.workbench.logs import LogError, LogOptions, Mount, open_log
+from eigenscan.workbench.logs.remarks import remarks
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
@@ -25,6 +26,7 @@ S = 1_000_000_000
 START = 1_600_000_000
 
 SCAN = "sensor_msgs/msg/LaserScan"
+CLOUD = "sensor_msgs/msg/PointCloud2"
 MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 ODOM = "nav_msgs/msg/Odometry"
 TF = "tf2_msgs/msg/TFMessage"
@@ -40,9 +42,9 @@ class Story:
 
     ros1: bool
     messages: list[tuple[str, str, float, Any]] = field(default_factory=list)
+    clock: Callable[[float], float] = float  # what it shows, of robot and recorder alike
 
     @property
-    clock: Callable[[float], float] = float  # what it shows, of robot and recorder alike
     def store(self) -> Any:
         return ROS1 if self.ros1 else ROS2
 
@@ -136,7 +138,7 @@ class Story:
                 if topic not in known:
                     known[topic] = writer.add_connection(topic, kind, typestore=self.store)
                 serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
-                writer.write(known[topic], round(recorded * 1e9), serialize(message, kind))
+                writer.write(known[topic], round(self.clock(recorded) * 1e9), serialize(message, kind))
         return path
 
 
@@ -294,16 +296,35 @@ def test_scans_of_another_frame_on_a_lidars_topic_are_set_aside(tmp_path: Path) 
     assert counters == {"scans_of_another_frame": 30}
 
 
-def test_a_tilted_lidar_is_left_out_and_an_unmounted_one_is_reported(tmp_path: Path) -> None:
+def test_a_tilted_lidar_and_one_that_tf_places_nowhere_are_left_out(tmp_path: Path) -> None:
     story = usual(False)
     story.transform(START, "base_link", "tilted", (0, 0, 0.2), (0, 0.8, 0))
     for tenth in range(30):
         story.scan("/tilted/scan", START + tenth / 10, "tilted")
         story.scan("/lost/scan", START + tenth / 10, "lost")
     scans, _, counters = read(story.write(tmp_path / "a"))
-    assert set(scans) == {"front", "rear", "lost"}
-    assert counters == {"lidars_tilted": 1, "lidars_without_mount": 1}
+    assert set(scans) == {"front", "rear"}
+    assert counters == {"lidars_tilted": 1, "lidars_off_the_base": 1}
+    scans, _, counters = read(tmp_path / "a", lidars=("lost",))
+    assert counters == {"lidars_without_mount": 1}
     assert from_message(scans["lost"][0].mount).tolist() == [0, 0, 0]
+
+
+def test_of_two_robots_in_one_bag_the_lidar_of_the_other_is_left_out(tmp_path: Path) -> None:
+    """It was fused at the first robot's origin, and --mount was advised."""
+    story = Story(False)
+    for robot in ("r1", "r2"):
+        story.transform(START, f"{robot}/base_link", f"{robot}/laser", (0.1, 0, 0.2), topic="/tf_static")
+        for tenth in range(10):
+            story.odometry(f"/{robot}/odom", START + tenth / 10, tenth / 10, child=f"{robot}/base_link")
+            story.scan(f"/{robot}/scan", START + tenth / 10, f"{robot}/laser")
+    scans, moved, counters = read(story.write(tmp_path / "a"))
+    assert (set(scans), len(moved)) == ({"r1"}, 10)
+    assert counters == {"lidars_off_the_base": 1}
+    (line,) = remarks(counters)
+    assert "--lidar-topic and --odometry-topic" in line
+    scans, _, counters = read(tmp_path / "a", lidars=("/r2/scan",), odometry="/r2/odom")
+    assert (set(scans), counters) == ({"r2"}, {})
 
 
 def test_a_stated_mount_wins(tmp_path: Path) -> None:
@@ -376,27 +397,6 @@ def test_a_bag_recorded_again_keeps_its_own_time(tmp_path: Path) -> None:
     assert scans["scan"][-1].timestamp.ToNanoseconds() == 1_000_000_000 * S + 2_900_000_000
 
 
-def test_a_single_absurd_stamp_does_not_reorder_the_log(tmp_path: Path) -> None:
-    story = Story(False)
-    for tenth in range(30):
-        time = START + tenth / 10
-        story.scan("/scan", time, "laser", stamp=2e9 if tenth == 12 else time)
-    scans, _, counters = read(story.write(tmp_path / "a"))
-    times = np.array([scan.timestamp.ToNanoseconds() for scan in scans["scan"]]) / S - START
-    np.testing.assert_allclose(times, np.arange(30) / 10, atol=1e-6)
-    assert counters["stray_stamps"] == 1
-
-
-@pytest.mark.parametrize("ros1", [True, False])
-def test_messages_out_of_the_order_of_their_stamps_are_sorted(tmp_path: Path, ros1: bool) -> None:
-    story = usual(ros1, seconds=5)
-    # odometry is recorded half a second late
-    story.messages = [
-        (topic, kind, recorded + (0.5 if kind == ODOM else 0.0), message)
-        for topic, kind, recorded, message in story.messages
-    ]
-    scans, moved, counters = read(story.write(tmp_path / ("a.bag" if ros1 else "a")))
-    assert len(moved) == 50
 def at_another_pace(rate: float, pauses_at: int = 100) -> Story:
     """Stamps of a clock that is `rate` times as fast as the recorder's, with a pause of 15 s."""
     story = Story(False)
@@ -486,6 +486,27 @@ def test_a_clock_that_was_set_ahead_leaves_a_gap_in_all_topics_alike(tmp_path: P
     assert (len(scans["scan"]), len(moved)) == (60, 60)
 
 
+def test_a_single_absurd_stamp_does_not_reorder_the_log(tmp_path: Path) -> None:
+    story = Story(False)
+    for tenth in range(30):
+        time = START + tenth / 10
+        story.scan("/scan", time, "laser", stamp=2e9 if tenth == 12 else time)
+    scans, _, counters = read(story.write(tmp_path / "a"))
+    times = np.array([scan.timestamp.ToNanoseconds() for scan in scans["scan"]]) / S - START
+    np.testing.assert_allclose(times, np.arange(30) / 10, atol=1e-6)
+    assert counters["stray_stamps"] == 1
+
+
+@pytest.mark.parametrize("ros1", [True, False])
+def test_messages_out_of_the_order_of_their_stamps_are_sorted(tmp_path: Path, ros1: bool) -> None:
+    story = usual(ros1, seconds=5)
+    # odometry is recorded half a second late
+    story.messages = [
+        (topic, kind, recorded + (0.5 if kind == ODOM else 0.0), message)
+        for topic, kind, recorded, message in story.messages
+    ]
+    scans, moved, counters = read(story.write(tmp_path / ("a.bag" if ros1 else "a")))
+    assert len(moved) == 50
     assert len(scans["front"]) == 50
     assert counters == {}
 
@@ -539,11 +560,40 @@ def test_what_is_asked_for_and_missing_is_named(tmp_path: Path) -> None:
         read(path, base_frame="chassis")
 
 
+def test_a_base_frame_may_have_the_slash_that_the_bag_has(tmp_path: Path) -> None:
+    path = usual(True).write(tmp_path / "a.bag")
+    scans, moved, _ = read(path, base_frame="/base_link")
+    np.testing.assert_allclose(from_message(scans["front"][0].mount), [0.3, 0.0, 0.1], atol=1e-9)
+    assert moved[0].body_frame_id == "base_link"
+
+
 def test_a_bag_without_scans_is_refused(tmp_path: Path) -> None:
     story = Story(True)
     story.odometry("/odom", START, 0.0)
-    with pytest.raises(LogError, match=r"a\.bag: holds no laser scan"):
+    with pytest.raises(LogError, match=r"a\.bag: holds no laser scan, .*: /odom \(nav_msgs/msg/Odometry\)$"):
         read(story.write(tmp_path / "a.bag"))
+
+
+@pytest.mark.parametrize("container", ["ros1", "sqlite", "mcap"])
+def test_a_bag_of_point_clouds_is_refused_with_what_helps(tmp_path: Path, container: str) -> None:
+    ros1, write = CONTAINERS[container]
+    story = Story(ros1)
+    cloud = story.kind(CLOUD)(
+        *(story.header(START, "laser"), 1, 0, [], False, 16, 0, np.zeros(0, np.uint8), True)
+    )
+    story.messages += [(f"/points{k}", CLOUD, START, cloud) for k in range(12)]
+    known = r"/points0 \(sensor_msgs/msg/PointCloud2\), .* and 2 more"
+    with pytest.raises(LogError, match=f"with pointcloud_to_laserscan, and record them; its topics: {known}"):
+        read(write(story, tmp_path))
+
+
+def test_a_database_that_was_cut_before_the_first_scan_is_called_so(tmp_path: Path) -> None:
+    folder = usual(False, seconds=60).write(tmp_path / "a")
+    (folder / "metadata.yaml").unlink()
+    whole = (folder / "a.db3").read_bytes()
+    (folder / "a.db3").write_bytes(whole[:20_000])
+    with pytest.raises(LogError, match="is damaged, or was cut, before the first laser scan"):
+        read(folder)
 
 
 @pytest.mark.parametrize(

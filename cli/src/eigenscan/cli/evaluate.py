@@ -175,9 +175,8 @@ def evaluate(
         prepare(file)
     with Bars() as bars:
         figures = run(task, bars)
-    if figures["log"]["is_cut"]:
-        how = figures["log"]["damage"] or f"{log}: breaks off, or is damaged: judged as far as it can be read"
-        typer.echo(how, err=True)
+    if damage := figures["log"]["damage"]:
+        typer.echo(damage, err=True)
     if wants_words(json_file):
         show(figures, f"{log} on {map_file}", console)
     write_figures(figures, json_file)

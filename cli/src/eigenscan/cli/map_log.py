@@ -69,6 +69,7 @@ def map_log(
     from eigenscan.mapbuilder.mapping.pose_graph import check_installed
     from eigenscan.mapbuilder.mapping.survey import MappingError, Survey, survey
     from eigenscan.workbench.logs import LogOptions
+    from eigenscan.workbench.logs.remarks import remarks
     from eigenscan.workbench.logs.scans import read_scans
     from eigenscan.workbench.progress import Bars
 
@@ -88,8 +89,8 @@ def map_log(
         scans = read_scans(
             log, options, bars.start_share("reading"), with_odometry=not no_odometry, received=received
         )
-        if scans.damage:
-            typer.echo(scans.damage, err=True)
+        for line in (*remarks(scans.counters), *filter(None, [scans.damage])):
+            typer.echo(line, err=True)
         located = None
         try:
             if of is None:
@@ -161,6 +162,7 @@ def _summarize(
         "scans_in_map": len(mapped.numbers),
         "scans_with_odometry": odometry,
         "scans_located": sure,
+        "set_aside": dict(scans.counters),
         "way_m": mapped.way,
         "log_s": scans.seconds,
         "keyframes": mapped.keyframes,

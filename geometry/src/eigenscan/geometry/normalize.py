@@ -38,11 +38,11 @@ GRAZING = math.tan(math.radians(75.0))
 
 FAULTS = {
     "no_beams": "ranges: no beams",
-    "no_valid_range": "ranges: none lies between range_min and range_max; m",
-    "angles_not_finite": "angle_min, angle_increment: must be numbers; rad",
-    "angle_increment_zero": "angle_increment: must not be 0; rad",
-    "over_a_turn": "angle_increment: the beams cover over one turn, or are over half a turn apart; rad",
-    "limits_inconsistent": "range_min, range_max: contradict each other; m",
+    "no_valid_range": "ranges: none lies between range_min and range_max, in m",
+    "angles_not_finite": "angle_min, angle_increment: must be numbers, in rad",
+    "angle_increment_zero": "angle_increment: must not be 0",
+    "over_a_turn": "angle_increment: the beams cover over one turn, or are over half a turn apart: give rad",
+    "limits_inconsistent": "range_min, range_max: contradict each other, or are no numbers",
     "one_value": "ranges: all have one value: is the lidar covered?",
     "not_in_metres": "ranges: must be metres",
     "mount_too_far": f"mount: not finite, or over {FARTHEST_MOUNT:.0f} m from the base",

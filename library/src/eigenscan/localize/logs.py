@@ -27,6 +27,7 @@ def read_log(
     """
     with needs("eigenscan-localize[logs]"):
         from eigenscan.workbench.logs import LogOptions, open_log
+        from eigenscan.workbench.logs.remarks import remarks
         from eigenscan.workbench.logs.scans import odometry_at
     scans, steps = list[Scan](), list[tuple[int, NDArray[np.float64]]]()
     log = open_log(Path(path), LogOptions(robot=robot, lidars=(lidar,) if lidar else ()))
@@ -35,9 +36,8 @@ def read_log(
             steps.append((envelope.stamp, from_pose3(envelope.open(Odometry).pose)))
         elif envelope.channel is SCAN_RAW:
             scans.append(Scan.of(envelope.open(RawScan), envelope.address["lidar"]))
-    for what, count in sorted(log.counters.items()):
-        if count:
-            warnings.warn(f"{path}: {what.replace('_', ' ')}: {count}", stacklevel=2)
+    for line in remarks(log.counters):
+        warnings.warn(f"{path}: {line}", stacklevel=2)
     if log.damage:
         warnings.warn(log.damage, stacklevel=2)
     poses = odometry_at(steps, np.array([scan.stamp for scan in scans], dtype=np.int64))

@@ -147,7 +147,9 @@ class ScanIngestCore:
         if 2 * reasons.total() <= len(self._recent):
             return Condition(Health.STATUS_OK, "", counters)
         worst, _ = reasons.most_common(1)[0]
-        detail = f"over half of the last {len(self._recent)} scans set aside ({worst}): {WHY[worst]}"
+        count = len(self._recent)
+        share = f"over half of the last {count} scans" if count > 1 else "the only scan"
+        detail = f"{share} set aside ({worst}): {WHY[worst]}"
         return Condition(Health.STATUS_DEGRADED, detail, counters)
 
     def _set_aside(self, reason: str) -> Iterable[Envelope]:

@@ -177,7 +177,7 @@ def _log_figures(log: Log) -> Figures:
         "odometry": log.odometry,
         "is_cut": log.is_cut,
         "damage": log.damage,
-        "lidars_without_mount": log.without_mount,
+        "set_aside": log.set_aside,
         "span_s": float((log.scans.max() - log.scans.min()) / NS),
     }
 

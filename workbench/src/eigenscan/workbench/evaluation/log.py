@@ -36,15 +36,12 @@ class Log:
         received: list[Received],
         logged: Mapping[int, int] | None = None,
         *,
-        is_cut: bool = False,
         damage: str = "",
-        without_mount: int = 0,
+        set_aside: Mapping[str, int] | None = None,
     ) -> None:
         self._received = received
-        self.without_mount = without_mount
-        """Lidars without a mount: they are taken to be at the base's origin."""
-        self.is_cut = is_cut
-        """Whether the file breaks off, or is damaged from some place on."""
+        self.set_aside = set_aside or {}
+        """What its reader counted."""
         self.damage = damage
         """What was not read of a recording, and what saves it."""
         self.logged = logged or {}
@@ -61,6 +58,11 @@ class Log:
     def lidars(self) -> list[str]:
         """Names of the lidars."""
         return sorted({h.envelope.address["lidar"] for h in self._received if h.envelope.channel == SCAN_RAW})
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether the file breaks off, or is damaged from some place on."""
+        return any(name in self.set_aside for name in ("truncated_file", "damaged_file"))
 
     @property
     def odometry(self) -> int:
@@ -85,9 +87,7 @@ class Log:
     def outside(self, windows: Sequence[Window]) -> Log:
         """The log without these windows."""
         kept = [one for one in self._received if not any(window.holds(one.stamp) for window in windows)]
-        return Log(
-            kept, self.logged, is_cut=self.is_cut, damage=self.damage, without_mount=self.without_mount
-        )
+        return Log(kept, self.logged, damage=self.damage, set_aside=self.set_aside)
 
     def scan_stamps(self, window: Window) -> NDArray[np.int64]:
         """Stamps of the scans within a window, ns, increasing."""
@@ -120,6 +120,5 @@ def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) ->
             received.append(Received(envelope.stamp, envelope))
             moved(opened.progress)
     moved(1.0)
-    is_cut = any(opened.counters[name] for name in ("truncated_file", "damaged_file"))
-    without_mount = opened.counters["lidars_without_mount"]
-    return Log(received, opened.logged, is_cut=is_cut, damage=opened.damage, without_mount=without_mount)
+    set_aside = {what: count for what, count in opened.counters.items() if count}
+    return Log(received, opened.logged, damage=opened.damage, set_aside=set_aside)

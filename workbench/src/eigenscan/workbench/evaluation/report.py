@@ -8,6 +8,7 @@ from eigenscan.workbench.evaluation.doubt import RULE
 from eigenscan.workbench.evaluation.explained import LITTLE
 from eigenscan.workbench.evaluation.figures import Figures
 from eigenscan.workbench.evaluation.own_reference import WHOLE_DRIVE
+from eigenscan.workbench.logs.remarks import remarks as of_reading
 from rich.console import Console
 from rich.table import Table
 
@@ -49,11 +50,8 @@ def remarks(f: Figures) -> list[str]:
     found = []
     if f["log"]["odometry"] == 0:
         found.append("the log has no odometry: the scans alone were used")
-    if lost := f["log"].get("lidars_without_mount", 0):  # no such figure in results of earlier releases
-        found.append(
-            f"the log states no mount of {lost} of its lidars, taken to be at the base's origin: "
-            "eigenscan import --mount, then evaluate the MCAP"
-        )
+    # no such figure in results of earlier releases
+    found += [f"in the log, {line}" for line in of_reading(f["log"].get("set_aside", {}))]
     found += [_reported(f, words, row) for words, row in f.get("reported", {}).items()]
     if frame := f.get("reference_frame"):  # no such figure in results of earlier releases
         found.append(

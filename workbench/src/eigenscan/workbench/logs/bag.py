@@ -44,7 +44,7 @@ class Bag(Protocol):
         ...
 
     def topics(self) -> dict[str, str]:
-        """Type of each topic whose type is one of KINDS. Raises LogError if the file is no bag."""
+        """Type of each topic; only those of KINDS can be read. Raises LogError if the file is no bag."""
         ...
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,8 @@ from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.workbench.logs.bag import Bag, BagMessage
 from eigenscan.workbench.logs.log import RECORDER_LAG_NS, LogOptions, in_order, odometry, place
-from eigenscan.workbench.logs.ros_survey import MOVES, Lidar, Plan, survey_bag
 from eigenscan.workbench.logs.pace import Pace, Stamped
+from eigenscan.workbench.logs.ros_survey import MOVES, Lidar, Plan, survey_bag
 from numpy.typing import NDArray
 
 
@@ -38,7 +39,8 @@ class RosLog:
         self.counters: Counter[str] = Counter()
         self.logged: dict[int, int] = {}
         self.damage = ""
-        self._options, self._bag = options, bag
+        base = options.base_frame and frame_name(options.base_frame)  # as tf has it, without a slash
+        self._options, self._bag = replace(options, base_frame=base), bag
         self._finished = False
 
     @property
@@ -49,13 +51,13 @@ class RosLog:
     def envelopes(self) -> Iterator[Envelope]:
         """SCAN_RAW and ODOMETRY by stamp. Raises LogError if there is no scan."""
         self.counters.clear()
+        self.logged.clear()
         self._finished = False
         self._stamping = Stamping()
-        self.logged.clear()
         plan = survey_bag(self._bag, self._options, self.counters)
+        self._pace = Pace(plan.stamped)
         self._bag.counters.clear()
         messages = self._bag.messages([*plan.lidars, *plan.odometry])
-        self._pace = Pace(plan.stamped)
         yield from in_order(self._convert(messages, plan), RECORDER_LAG_NS, self.counters, self.logged)
         self.counters.update(self._bag.counters)
         self._finished = True

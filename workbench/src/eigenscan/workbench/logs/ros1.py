@@ -52,7 +52,7 @@ class Ros1Bag:
         if not indexed:
             for _ in self._records(Counter()):
                 pass
-        return {topic: kind for topic, kind in self._connections.values() if kind in KINDS}
+        return dict(self._connections.values())
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Messages in the order of the file."""

@@ -56,7 +56,7 @@ class Ros2Bag:
             found = {topic: kind for file in self._files() for topic, kind in _tables(file).values()}
             if not found:
                 raise LogError(f"{self.path}: holds no readable ROS 2 bag: record it again") from None
-        return {topic: kind_of(kind) for topic, kind in found.items() if kind_of(kind) in KINDS}
+        return {topic: kind_of(kind) for topic, kind in found.items()}
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Messages by time of recording; salvaged ones, or if it was set back, in the order of the file."""
@@ -171,8 +171,7 @@ class McapBag:
     def topics(self) -> dict[str, str]:
         """Types by topic."""
         channels = [channel for file in self._files for channel in file.channels()]
-        understood = {topic: _understood(encoding, schema) for topic, encoding, schema in channels}
-        return {topic: found[0] for topic, found in understood.items() if found is not None}
+        return {topic: _named(encoding, schema) for topic, encoding, schema in channels}
 
     def messages(self, topics: Collection[str]) -> Iterator[BagMessage]:
         """Messages by time of recording; in the order of the file if it was set back."""
@@ -182,6 +181,13 @@ class McapBag:
                 if found is not None:
                     time, data = message.log_time, message.data
                     yield from decoded(self.counters, channel.topic, time, data, found[1])
+
+
+def _named(encoding: str, schema: str) -> str:
+    """Type of message, and how it is encoded if it is not as ROS does."""
+    if found := _understood(encoding, schema):
+        return found[0]
+    return kind_of(schema) if encoding in ("cdr", "ros1") else f"{schema} as {encoding}"
 
 
 def _understood(encoding: str, schema: str) -> tuple[str, Decoder] | None:

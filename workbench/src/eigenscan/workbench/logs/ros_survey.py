@@ -24,6 +24,9 @@ USUAL_BASES = ("base_footprint", "base_link", "base", "base_frame")
 ODOMETRY_FRAME = re.compile(r"(.*/)?odom\w*|.*[/_]odom")
 """Such as odom, robot_0/odom, odom_combined, wheel_odom."""
 NO_ODOMETRY = re.compile(r"truth|gazebo|slam|amcl|map", re.IGNORECASE)
+CLOUD = "sensor_msgs/msg/PointCloud2"
+NAMED = 10
+"""Topics of a bag that a message names."""
 MOVES = "tf"
 """Name among the topics for odometry in the form of transforms."""
 
@@ -123,6 +126,8 @@ def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
     kinds = bag.topics()
     of_kind = {name: [topic for topic, kind in kinds.items() if kind == name] for name in kinds.values()}
     scans = of_kind.get(LASER_SCAN, []) + of_kind.get(MULTI_ECHO, [])
+    if not scans:
+        raise LogError(f"{bag.path}: holds no laser scan, or was cut before the first: {_others(kinds)}")
     lidars = _choose_lidars(bag, options, scans)
     odometry = _choose_odometry(bag, options, of_kind.get(ODOMETRY_MESSAGE, []))
     transforms = of_kind.get(TRANSFORMS, [])
@@ -133,6 +138,8 @@ def survey_bag(bag: Bag, options: LogOptions, counters: Counter[str]) -> Plan:
             break
     _check_base(bag, survey)
     placed = _place(survey, counters)
+    if not survey.frames and bag.counters["truncated_file"]:
+        raise LogError(f"{bag.path}: is damaged, or was cut, before the first laser scan: record it again")
     if not placed:
         raise LogError(f"{bag.path}: holds no horizontal laser scan ({LASER_SCAN}) that can be read")
     stamped = {topic: survey.stamped[topic] for topic in (*placed, odometry) if topic in survey.stamped}
@@ -164,9 +171,8 @@ def _choose_odometry(bag: Bag, options: LogOptions, topics: list[str]) -> str | 
 def _choose_lidars(bag: Bag, options: LogOptions, topics: list[str]) -> list[str]:
     names = lidar_names(topics)
     missing = sorted(set(options.lidars) - set(topics) - set(names.values()))
-    if missing or not topics:
-        what = f"no lidar {missing[0]}" if missing else "holds no laser scan, or was cut before the first"
-        raise LogError(f"{bag.path}: {what}: topics of {LASER_SCAN}: {_listed(topics)}")
+    if missing:
+        raise LogError(f"{bag.path}: no lidar {missing[0]}: topics of {LASER_SCAN}: {_listed(topics)}")
     asked = set(options.lidars)
     return [topic for topic in topics if not asked or {topic, names[topic]} & asked]
 
@@ -174,14 +180,16 @@ def _choose_lidars(bag: Bag, options: LogOptions, topics: list[str]) -> list[str
 def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
     """Lidars to take, by topic.
 
-    Unless they were asked for: one topic of each sensor frame, for another is the same scan again; and
-    only lidars at about the height of the one that sees most, for a map shows one plane.
+    Unless they were asked for: one topic of each sensor frame, for another is the same scan again; only
+    lidars that tf places on the base, if any; and only those at about the height of the one that sees most,
+    for a map shows one plane.
     """
     asked, base = bool(survey.options.lidars), survey.base
-    names = lidar_names([*survey.frames])
+    names, known = lidar_names([*survey.frames]), survey.frames.values()
     lidars: dict[str, Lidar] = {}
     frames: set[str] = set()
     plane: float | None = None
+    on_base = base is not None and any(survey.tree.between(base, each) is not None for each in known)
     for topic in sorted(survey.frames, key=lambda topic: (-survey.spans[topic], len(topic), topic)):
         frame = survey.frames[topic]
         matrix = survey.tree.between(base, frame) if base else None
@@ -191,6 +199,8 @@ def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
         elsewhere = plane is not None and height is not None and abs(height - plane) > SAME_PLANE_M
         if frame in frames and not asked:
             counters["topics_of_the_same_lidar"] += 1
+        elif matrix is None and on_base and not is_given and not asked:  # it may be another robot's
+            counters["lidars_off_the_base"] += 1
         elif placed is None:
             counters["lidars_tilted"] += 1
         elif elsewhere and not asked:
@@ -222,6 +232,16 @@ def _span(body: Any) -> int:
     """Field of view, deg, rounded: lidars that differ by less see as much."""
     span = float(np.degrees(abs(body.angle_increment) * len(body.ranges)))
     return round(span) if np.isfinite(span) else 0
+
+
+def _others(kinds: dict[str, str]) -> str:
+    """What a bag without a laser scan has, and what to do."""
+    fix = "record the lidar's topic"
+    if CLOUD in kinds.values():
+        fix = "make laser scans of the point cloud, with pointcloud_to_laserscan, and record them"
+    shown = [f"{topic} ({kind})" for topic, kind in sorted(kinds.items())]
+    more = f" and {len(shown) - NAMED} more" if len(shown) > NAMED else ""
+    return f"{fix}; its topics: {_listed(shown[:NAMED])}{more}"
 
 
 def _listed(topics: list[str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -30,6 +30,7 @@ class Scans:
     """The usable scans of a log. `received`: number of all scans; `reasons`: numbers of rejected ones.
 
     `logged`: the logged stamp, ns, of each scan whose stamp was changed, by the new one. `damage`: as in Log.
+    `counters`: what the log's reader counted.
     """
 
     sweeps: list[Sweep]
@@ -37,6 +38,7 @@ class Scans:
     reasons: Mapping[str, int]
     logged: Mapping[int, int]
     damage: str = ""
+    counters: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:
@@ -114,7 +116,8 @@ def read_scans(
     stamps = np.array([nanoseconds(scan.timestamp) for scan in scans], dtype=np.int64)
     known = odometry_at(steps if with_odometry else (), stamps)
     sweeps = [_sweep(scan, place) for scan, place in zip(scans, known, strict=True)]
-    return Scans(sweeps, count, Counter(reasons), dict(opened.logged), opened.damage)
+    counted = {what: number for what, number in opened.counters.items() if number}
+    return Scans(sweeps, count, Counter(reasons), dict(opened.logged), opened.damage, counted)
 
 
 def odometry_at(

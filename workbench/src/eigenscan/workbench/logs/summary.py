@@ -7,26 +7,19 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from eigenscan.geometry.doubtful_ranges import not_in_metres
 from eigenscan.geometry.message_floats import floats_of
+from eigenscan.ingest.core import WHY, ScanIngestCore
+from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.runtime.printable import printable
-from eigenscan.schemas.channels import ODOMETRY, SCAN_RAW
+from eigenscan.schemas.channels import ODOMETRY, SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
-from eigenscan.schemas.scan_pb2 import RawScan
+from eigenscan.schemas.scan_pb2 import RawScan, Scan
 from eigenscan.workbench.logs.log import Log
+from eigenscan.workbench.logs.remarks import remarks
 from rich.console import Console
 from rich.table import Table
-
-HINTS = {
-    "stamps_repaired": "by the order of the lines",
-    "no_metadata": "no metadata.yaml in the folder: read without it",
-    "truncated_file": "what could be read was taken",
-    "lidars_at_another_height": "a map shows one plane; take them with --lidar-topic",
-    "scans_of_another_frame": "on a lidar's topic: let each lidar have its own",
-    "topics_of_the_same_lidar": "take them with --lidar-topic",
-    "lidars_without_mount": "none in the log: taken to be at the base's origin; give it with --mount",
-    "topics_stamped_by_recording": "their clock is not that of the others",
-}
 
 
 @dataclass
@@ -39,6 +32,8 @@ class _Row:
     about: str = ""
     beams: Counter[int] = field(default_factory=Counter)
     not_in_metres: int = 0
+    core: ScanIngestCore = field(default_factory=lambda: ScanIngestCore(ScanIngestSettings()))
+    is_usable: bool = False  # whether a scan has a beam that scan-ingest takes
 
     @property
     def seconds(self) -> float:
@@ -65,6 +60,17 @@ class Summary:
         """Names of lidars all of whose scans have ranges that are rather millimetres."""
         return sorted(name for name, row in self._rows.items() if row.not_in_metres == row.messages)
 
+    @property
+    def unusable(self) -> list[str]:
+        """A line for each lidar of whose scans nothing can be made."""
+        found = []
+        for name, row in sorted(self._rows.items()):
+            if row.beams and not row.is_usable:
+                reasons = row.core.condition().counters
+                why = next((WHY[each] for each in WHY if f"set_aside_{each}" in reasons), "no beam returned")
+                found.append(f"lidar {name}: none of its {row.messages} scans can be used: {why}")
+        return found
+
     def add(self, envelope: Envelope, time: int) -> None:
         """Takes note of a message with stamp `time`, ns."""
         name = envelope.address["lidar"] if envelope.channel is SCAN_RAW else envelope.channel.name
@@ -78,6 +84,11 @@ class Summary:
             row.beams[len(scan.ranges)] += 1
             row.not_in_metres += not_in_metres(floats_of(scan, "ranges"))
             row.about = _about(scan)
+            row.is_usable = row.is_usable or any(
+                np.isfinite(floats_of(made.open(Scan), "ranges")).any()
+                for made in row.core.handle(envelope)
+                if made.channel is SCAN
+            )
 
     def show(self, console: Console, log: Log, target: Path) -> None:
         """Prints the table and the rejected messages."""
@@ -92,10 +103,8 @@ class Summary:
         console.print(table)
         if ODOMETRY.name not in self._rows:
             console.print("no odometry")
-        for what, count in sorted(log.counters.items()):
-            if count:
-                hint = f" ({HINTS[what]})" if what in HINTS else ""
-                console.print(f"{what.replace('_', ' ')}: {count}{hint}", highlight=False)
+        for line in (*remarks(log.counters), *self.unusable):
+            console.print(printable(line), highlight=False, soft_wrap=True)
         if log.damage:
             console.print(printable(log.damage), highlight=False, soft_wrap=True)
         console.print(
@@ -112,6 +121,7 @@ class Summary:
                 for name, row in sorted(self._rows.items())
             },
             "set_aside": {what: count for what, count in sorted(log.counters.items()) if count},
+            "unusable": self.unusable,
             "damage": log.damage,
             "recording": str(target),
         }
