@@ -85,9 +85,10 @@ def map_log(
     options = LogOptions(robot=robot, lidars=tuple(lidar or ()), odometry=odometry)
     began = time.perf_counter()
     with Bars() as bars:
-        received: list[Envelope] | None = [] if on else None
+        reading = bars.start_share("reading")
+        received: list[Envelope] = []
         scans = read_scans(
-            log, options, bars.start_share("reading"), with_odometry=not no_odometry, received=received
+            log, options, reading, with_odometry=not no_odometry, received=received if on else None
         )
         for line in (*remarks(scans.counters), *filter(None, [scans.damage])):
             typer.echo(line, err=True)
@@ -123,10 +124,10 @@ def _check_outputs(target: Path, inputs: list[Path], force: bool) -> None:
 
 
 def _located(
-    on: Path | None, received: list[Envelope] | None, scans: Scans, bars: Bars, with_odometry: bool
+    on: Path | None, received: list[Envelope], scans: Scans, bars: Bars, with_odometry: bool
 ) -> Located | None:
     """Poses of the scans on the given map, if there is one."""
-    if on is None or received is None:
+    if on is None:
         return None
     from eigenscan.workbench.evaluation.locating import locate
 

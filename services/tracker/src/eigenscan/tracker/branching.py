@@ -146,16 +146,16 @@ def _fuse(
     """
     # by single numbers: whole rows take ten seconds and thirty MB more to compile
     count = len(hypothesis)
-    x, C, y, R = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
+    y, R = np.empty((count, 3)), np.empty((count, 3, 3))
     for pair in range(count):
         row, k = alone + pair, hypothesis[pair]
         known = np.cbrt(determinant(triangle(covariances[k])) / determinant(triangle(out.C[row])))
         share = min(max(1.0 - known, precision, least_new), 1.0)
         for i in range(3):
-            x[pair, i], y[pair, i] = out.x[row, i], poses[k, i]
+            y[pair, i] = poses[k, i]
             for j in range(3):
-                C[pair, i, j], R[pair, i, j] = out.C[row, i, j], covariances[k, i, j] / share
-    fused_x, fused_C = fuse_each(x, C, y, R)
+                R[pair, i, j] = covariances[k, i, j] / share
+    fused_x, fused_C = fuse_each(out.x[alone:], out.C[alone:], y, R)
     for pair in range(count):
         row = alone + pair
         out.nis[row] = distance2[pair]

@@ -120,5 +120,4 @@ def read_log(path: Path, options: LogOptions, moved: Callable[[float], None]) ->
             received.append(Received(envelope.stamp, envelope))
             moved(opened.progress)
     moved(1.0)
-    set_aside = {what: count for what, count in opened.counters.items() if count}
-    return Log(received, opened.logged, damage=opened.damage, set_aside=set_aside)
+    return Log(received, opened.logged, damage=opened.damage, set_aside=+opened.counters)

@@ -72,7 +72,8 @@ def filled(stream: Stream, scans: NDArray[np.int64]) -> Stream:
 
     Else a pipeline that falls silent would be right to the end by its last pose.
     """
-    silent = scans[~_near(scans, np.sort(stream.stamps), round(LONGEST_GAP_S * NS))]
+    stamps = np.sort(stream.stamps)
+    silent = scans[~_near(scans, stamps, round(LONGEST_GAP_S * NS))]
     if not len(silent):
         return stream
     n, unknown = len(silent), np.full(len(silent), np.nan)
@@ -85,7 +86,7 @@ def filled(stream: Stream, scans: NDArray[np.int64]) -> Stream:
         confidence=unknown,
         covariances=np.full((n, 3, 3), np.nan),
         nis=unknown,
-        cpu_s=np.append(0.0, stream.cpu_s)[np.searchsorted(stream.stamps, silent)],
+        cpu_s=np.append(0.0, stream.cpu_s)[np.searchsorted(stamps, silent)],
         scans=np.searchsorted(scans, silent),
     )
     order = np.argsort(np.concatenate([stream.stamps, silent]), kind="stable")

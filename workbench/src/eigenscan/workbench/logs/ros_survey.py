@@ -185,21 +185,23 @@ def _place(survey: Survey, counters: Counter[str]) -> dict[str, Lidar]:
     for a map shows one plane.
     """
     asked, base = bool(survey.options.lidars), survey.base
-    names, known = lidar_names([*survey.frames]), survey.frames.values()
+    names = lidar_names([*survey.frames])
+    on_base = {
+        topic: survey.tree.between(base, frame) if base else None for topic, frame in survey.frames.items()
+    }
+    is_one = any(matrix is not None for matrix in on_base.values())
     lidars: dict[str, Lidar] = {}
     frames: set[str] = set()
     plane: float | None = None
-    on_base = base is not None and any(survey.tree.between(base, each) is not None for each in known)
     for topic in sorted(survey.frames, key=lambda topic: (-survey.spans[topic], len(topic), topic)):
-        frame = survey.frames[topic]
-        matrix = survey.tree.between(base, frame) if base else None
+        frame, matrix = survey.frames[topic], on_base[topic]
         is_given = names[topic] in survey.options.mounts
         placed = planar(np.eye(4) if matrix is None or is_given else matrix)
         height = plane if matrix is None else float(matrix[2, 3])
         elsewhere = plane is not None and height is not None and abs(height - plane) > SAME_PLANE_M
         if frame in frames and not asked:
             counters["topics_of_the_same_lidar"] += 1
-        elif matrix is None and on_base and not is_given and not asked:  # it may be another robot's
+        elif matrix is None and is_one and not is_given and not asked:  # it may be another robot's
             counters["lidars_off_the_base"] += 1
         elif placed is None:
             counters["lidars_tilted"] += 1

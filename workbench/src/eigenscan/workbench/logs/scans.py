@@ -116,8 +116,7 @@ def read_scans(
     stamps = np.array([nanoseconds(scan.timestamp) for scan in scans], dtype=np.int64)
     known = odometry_at(steps if with_odometry else (), stamps)
     sweeps = [_sweep(scan, place) for scan, place in zip(scans, known, strict=True)]
-    counted = {what: number for what, number in opened.counters.items() if number}
-    return Scans(sweeps, count, Counter(reasons), dict(opened.logged), opened.damage, counted)
+    return Scans(sweeps, count, Counter(reasons), dict(opened.logged), opened.damage, +opened.counters)
 
 
 def odometry_at(

@@ -120,7 +120,7 @@ class Summary:
                 name: {"count": row.messages, "seconds": row.seconds, "beams": sorted(row.beams)}
                 for name, row in sorted(self._rows.items())
             },
-            "set_aside": {what: count for what, count in sorted(log.counters.items()) if count},
+            "set_aside": dict(sorted((+log.counters).items())),
             "unusable": self.unusable,
             "damage": log.damage,
             "recording": str(target),
