@@ -21,6 +21,7 @@ from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.localize import Estimate, Localizer, Scan, ScanError, read_log
 from eigenscan.mapbuilder.core import announce_models
+from eigenscan.projector import tables
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.runtime.recording import RecordingWriter
@@ -91,6 +92,24 @@ def test_probabilities_sum_to_one_and_what_is_known_leaves_out_the_rest(
         localizer.localize(scan, near=(1.0, 2.0), radius=1.0)
     with pytest.raises(ValueError, match="floor: 'attic'"):
         localizer.localize(scan, floor="attic")
+
+
+@pytest.mark.parametrize("kind", ["default", "another"])
+def test_the_whole_map_is_searched_for_each_scan(
+    localizer: Localizer, drive: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where it has more regions than a robot's scan waits for, so the same scan gets the same answer."""
+    scans = [scan for scan, _ in read_log(drive / "drive.mcap")][20:60:10]
+    if kind == "another":
+        scans = [replace(scan, range_max=12.0) for scan in scans]
+    want = [localizer.localize(scan) for scan in scans]
+    for name in ("PER_SCAN", "DERIVED_PER_SCAN"):
+        monkeypatch.setattr(tables, name, 1)
+    fresh = Localizer(localizer.site)
+    for expected, scan in reversed([*zip(want, scans, strict=True)]):
+        found = fresh.localize(scan)
+        assert np.array_equal(found.poses, expected.poses)
+        assert np.array_equal(found.probabilities, expected.probabilities)
 
 
 def test_a_drive_is_tracked(localizer: Localizer, drive: Path) -> None:

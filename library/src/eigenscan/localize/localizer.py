@@ -60,7 +60,7 @@ class Localizer:
         self.site = site
         self._method = method
         settings = ProjectorSettings.model_validate({"advice": False} | of_service(method, "projector"))
-        self._projector = ProjectorCore(settings)
+        self._projector = ProjectorCore(settings, whole_queries=True)
         self._projector_receives(site)
         self._session: Session | None = None
 
@@ -125,6 +125,7 @@ class Localizer:
     ) -> Hypotheses:
         """Finds where `scan` may have been taken, from this scan alone, as a query on {site}/localize does.
 
+        Searches the whole map: the first scan of a kind of lidar takes longer, on a large map up to a minute.
         Searches only within `radius`, m, of the pose `near` (3,), m, m, rad in the map frame, with a heading
         within `turn`, rad, of its own (0: any heading); only on `floor` (then `near` is in that floor's
         frame); only in `region`. Raises ScanError for a scan that cannot be used, and ValueError that names

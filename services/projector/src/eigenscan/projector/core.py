@@ -76,13 +76,17 @@ class ProjectorCore:
         store: Store | None = None,
         aside: Callable[[Callable[[], None]], None] | None = None,
         search: Search = find_candidates,
+        whole_queries: bool = False,
     ) -> None:
         """`instance`: its name in the keys of its hypotheses, among the site's projectors.
 
         `store` keeps tables for the next start. `aside` runs work that no answer depends on, in a thread.
         `search`: how a scan is searched for; another may keep what it found.
+        `whole_queries`: a query on {site}/localize takes as long as the whole site needs. Otherwise its answer
+        may be about the regions that are ready, and states so.
         """
         self._settings, self._instance, self._search = settings, instance, search
+        self._whole_queries = whole_queries
         self._store, self._aside = store, aside
         self._spaces: dict[tuple[str, Analysis], RegionSpace] = {}
         self._sizes: Sizes[tuple[str, Analysis]] = Sizes()
@@ -259,7 +263,8 @@ class ProjectorCore:
         try:
             if self._site is None:
                 raise QueryError(f"no answer yet: {self._refused or self._assembler.missing}")
-            reply = answer(received.open(LocalizeQuery), self._site, self._settings)
+            query = received.open(LocalizeQuery)
+            reply = answer(query, self._site, self._settings, whole=self._whole_queries)
         except QueryError as error:
             self._counts["queries_refused"] += 1
             return Envelope(LOCALIZE_REFUSED, received.address, StringValue(value=str(error)))

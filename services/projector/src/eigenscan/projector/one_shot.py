@@ -29,7 +29,7 @@ from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.publishing import to_base
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.site import Site
+from eigenscan.projector.site import SensorView, Site
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.localize_pb2 import LocalizeCandidate, LocalizeQuery, LocalizeReply
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
@@ -100,8 +100,10 @@ class Allowed:
         return area if self.near is None else min(area, math.pi * self.radius * self.radius)
 
 
-def answer(query: LocalizeQuery, site: Site, settings: ProjectorSettings) -> LocalizeReply:
-    """Candidates of one scan. Raises QueryError naming the field that is wrong."""
+def answer(
+    query: LocalizeQuery, site: Site, settings: ProjectorSettings, *, whole: bool = False
+) -> LocalizeReply:
+    """Candidates of one scan; `whole`: only once all regions are ready. Raises QueryError naming the field."""
     scan = canonical(query.scan)
     seen, mount = observe(scan), from_message(scan.mount)
     allowed = Allowed.of(query, site)
@@ -115,7 +117,8 @@ def answer(query: LocalizeQuery, site: Site, settings: ProjectorSettings) -> Loc
     if seen.measured < settings.least_beams:
         reply.status = Hypotheses.STATUS_UNUSABLE_SCAN
         return reply
-    found = _search(site, seen, settings, allowed)
+    view = site.view(seen.sensor, passing=True)
+    found = _search(site, view.complete() if whole else view, seen, settings, allowed)
     reply.status = Hypotheses.STATUS_OK
     reply.searched_area_m2 = allowed.area(site, found.waiting)
     poses, covariances = to_base(found.poses, found.covariances, mount)
@@ -182,9 +185,10 @@ def canonical(raw: RawScan) -> Scan:
     )
 
 
-def _search(site: Site, seen: Observation, settings: ProjectorSettings, allowed: Allowed) -> Candidates:
+def _search(
+    site: Site, view: SensorView, seen: Observation, settings: ProjectorSettings, allowed: Allowed
+) -> Candidates:
     """The whole site first, also where only some regions may be right: what an ordinary place there has."""
-    view = site.view(seen.sensor, passing=True)
     found = find_candidates(site, view, seen, settings)
     if allowed.regions is None:
         return found
