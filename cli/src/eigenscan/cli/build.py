@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from eigenscan.mapbuilder.cluster import Workers
     from eigenscan.mapbuilder.geojson import GivenRegion
     from eigenscan.mapbuilder.quality import Quality
-    from eigenscan.mapbuilder.site import Layout, Plan
+    from eigenscan.mapbuilder.site import Layout, Plan, Progress
     from eigenscan.schemas.model_pb2 import ModelSet
 
 
@@ -132,6 +132,7 @@ def build(
     from eigenscan.mapbuilder.quality import IN_SIGHT_M, quality
     from eigenscan.mapbuilder.regions import Division
     from eigenscan.mapbuilder.site import Plan
+    from eigenscan.workbench.progress import Bars
 
     plan = Plan(
         spacing=spacing,
@@ -156,11 +157,13 @@ def build(
     options = PlanOptions(metres_per_unit, layer or ())
     plans = [(path.stem, read_plan(path, options)) for path in map_files]
     grid, floors = _stacked(plans)
-    with Pieces(out) as pieces:
+    with Pieces(out) as pieces, Bars(transient=True) as bars:
+        moved = bars.start_steps()
+        moved("regions", 0.0)
         layout = _lay_out(grid, plan, drawn, map_files, regions)
         if floors and not drawn:
             layout = name_by_floor(layout, floors)
-        built = _build(grid, plan, layout, pieces, engine)
+        built = _build(grid, plan, layout, pieces, moved, engine)
         message = pieces.publish(
             built[0],
             grid,
@@ -208,18 +211,16 @@ def _lay_out(
 
 
 def _build(
-    grid: GridMap, plan: Plan, layout: Layout, pieces: Pieces, workers: Workers | None
+    grid: GridMap, plan: Plan, layout: Layout, pieces: Pieces, progress: Progress, workers: Workers | None
 ) -> tuple[Mapping[str, Piece], int]:
-    """The finished regions, with a progress bar on a terminal."""
+    """The finished regions."""
     from eigenscan.mapbuilder.sharded import build_pieces
-    from eigenscan.workbench.progress import Bars
 
-    with Bars(transient=True) as bars:
-        try:
-            with workers or nullcontext():
-                return build_pieces(grid, plan, layout, pieces, bars.start_steps(), workers)
-        except KeyboardInterrupt:
-            raise StoppedError(f"finished regions are in {pieces.place}; the same command goes on") from None
+    try:
+        with workers or nullcontext():
+            return build_pieces(grid, plan, layout, pieces, progress, workers)
+    except KeyboardInterrupt:
+        raise StoppedError(f"finished regions are in {pieces.place}; the same command goes on") from None
 
 
 def _summarize(

@@ -1,4 +1,4 @@
-"""Progress bars that cost nothing while the clock counts: drawn by hand, no thread."""
+"""Progress bars that cost nothing while the clock counts: drawn by hand, no thread. In a log, lines."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     Task,
+    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 
 REDRAWN_EVERY_S = 0.2
+STATED_EVERY_S = 10.0
+"""Where standard error is a file or a pipe: a line this often, so shorter work states nothing."""
 SHARE = 100
 """Steps of a bar that shows a share."""
 
@@ -30,9 +33,9 @@ def _how_far(bar: Task) -> str:
 
 
 class Bars:
-    """Progress bars on standard error, if that is a terminal. Use it with `with`.
+    """Progress bars on standard error; a line now and then if that is no terminal. Use it with `with`.
 
-    `transient`: they disappear at the end.
+    `transient`: bars disappear at the end.
     """
 
     def __init__(self, transient: bool = False) -> None:
@@ -47,7 +50,7 @@ class Bars:
             transient=transient,
             disable=not sys.stderr.isatty(),
         )
-        self._drawn = 0.0
+        self._drawn = time.monotonic()
 
     def __enter__(self) -> Bars:
         self._progress.start()
@@ -62,22 +65,22 @@ class Bars:
     def start(self, title: str, total: int) -> Callable[[], None]:
         """Starts a bar; the function given back moves it by one."""
         bar = self._progress.add_task(title, total=total)
-        self._draw(at_once=True)
+        self._draw(bar, at_once=True)
 
         def advance() -> None:
             self._progress.advance(bar)
-            self._draw(at_once=bool(self._progress.tasks[bar].finished))
+            self._draw(bar, at_once=bool(self._progress.tasks[bar].finished))
 
         return advance
 
     def start_share(self, title: str) -> Callable[[float], None]:
         """Starts a bar; returns the function to call with its share, 0..1."""
         bar = self._progress.add_task(title, total=SHARE)
-        self._draw(at_once=True)
+        self._draw(bar, at_once=True)
 
         def move(share: float) -> None:
             self._progress.update(bar, completed=int(SHARE * share))
-            self._draw(at_once=False)
+            self._draw(bar, at_once=False)
 
         return move
 
@@ -92,8 +95,12 @@ class Bars:
 
         return moved
 
-    def _draw(self, at_once: bool) -> None:
+    def _draw(self, bar: TaskID, at_once: bool) -> None:
         now = time.monotonic()
-        if at_once or now - self._drawn >= REDRAWN_EVERY_S:
+        if self._progress.disable:
+            if now - self._drawn >= STATED_EVERY_S:
+                print(_how_far(self._progress.tasks[bar]), file=sys.stderr, flush=True)
+                self._drawn = now
+        elif at_once or now - self._drawn >= REDRAWN_EVERY_S:
             self._progress.refresh()
             self._drawn = now

@@ -56,7 +56,7 @@ def build_pieces(
         for number, contents in engine.build(RayCaster.of(Surfaces.of(grid).grid), plan, waiting):
             for area, content in zip(waiting[number], contents, strict=True):
                 ready[area.name] = pieces.keep(keys[area.name], content)
-            progress(f"{len(ready)} of {len(keys)} regions", len(ready) / len(keys))
+            progress("regions", len(ready) / len(keys))
     return ready, found
 
 
