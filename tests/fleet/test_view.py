@@ -3,16 +3,21 @@
 import json
 import subprocess
 from collections import deque
+from itertools import count
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
 import pytest
+from eigenscan.cli.fleet import metrics
 from eigenscan.cli.fleet.status import rows
-from eigenscan.fleet.view import FleetView
+from eigenscan.fleet.collector import SiteCollector
+from eigenscan.fleet.view import FleetView, Robot, Service
 from eigenscan.runtime.inbox import Arrival, Inbox
+from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.schemas.channels import POSE
 from eigenscan.schemas.geometry_pb2 import Pose2
+from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.tracking_pb2 import PoseEstimate
 from eigenscan.schemas.wire import encode, encoding
 
@@ -87,7 +92,44 @@ def test_the_exporter_shows_a_robot_that_is_not_there(operator: Path) -> None:
             served = page.read().decode()
         exporter.terminate()
         assert exporter.wait(60.0) == 0
-    assert 'eigenscan_robot_state{robot="r17"} 0.0' in served
+    assert 'eigenscan_robot_state{robot="r17",site="s"} 0.0' in served
+
+
+def test_the_exporter_names_a_site_of_which_nothing_answers(
+    operator: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It served nothing, in silence; a service may still start, so it goes on."""
+    updates = count(1)
+
+    def waited(stop: StopEvent, _timeout: float) -> None:
+        stop.stopping = next(updates) == 3
+
+    monkeypatch.setattr(metrics, "SILENT_S", 0.0)
+    monkeypatch.setattr(StopEvent, "wait", waited)
+    done = run("metrics", "--site", "hospitl", "--zenoh", str(operator), "--port", "0")
+    assert done.exit_code == 0
+    assert done.stderr == (
+        "eigenscan fleet metrics: no service of site hospitl answers: check --site, or start its services\n"
+    )
+
+
+def test_what_may_fall_is_no_counter_and_each_site_has_its_own_metrics() -> None:
+    """The rate of a gauge has no meaning; two sites may have robots of one name."""
+    view: Any = FleetView.__new__(FleetView)
+    view.site, view.robots, view.listed, view.expected = "s", {"r1": Robot("r1")}, frozenset(), frozenset()
+    counters = {"heard_scan": 9, "waiting": 2, "regions": 7, "mcap_slowest_ms": 29, "lidars": 1}
+    view.services = {("mapbuilder", "m"): Service("mapbuilder", "m", {"1"}, Health(counters=counters))}
+    samples = [
+        (family.type, sample.labels.get("what"), sample.value)
+        for family in SiteCollector(view).collect()
+        for sample in family.samples
+        if sample.labels["site"] == "s"
+    ]
+    told = {what: (kind, value) for kind, what, value in samples if what}
+    assert told == {
+        what: ("counter" if what == "heard_scan" else "gauge", value) for what, value in counters.items()
+    }
+    assert len(samples) == len(told) + 5  # state, up, status, age, clock
 
 
 @pytest.mark.parametrize("form", ["--once", "--json=-"])

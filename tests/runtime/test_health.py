@@ -10,7 +10,7 @@ from eigenscan.schemas.envelope import Condition
 from eigenscan.schemas.health_pb2 import Health
 from prometheus_client.parser import text_string_to_metric_families
 
-OK = Condition(Health.STATUS_OK, "well", {"heard": 3, "waiting": 2})
+OK = Condition(Health.STATUS_OK, "well", {"heard": 3, "waiting": 2, "regions": 7})
 
 
 def test_it_starts_then_turns_then_stalls() -> None:
@@ -81,6 +81,9 @@ def test_prometheus_reads_the_metrics() -> None:
     (age,) = (one.value for one in families["eigenscan_lag_seconds"].samples if one.name.endswith("_sum"))
     assert 3.0 <= age <= oldest
     assert families["eigenscan_waiting_messages"].samples[0].value == 2
+    levels = families["eigenscan_level"]
+    assert levels.type == "gauge"
+    assert [(one.labels["what"], one.value) for one in levels.samples] == [("regions", 7)]
     (info,) = (
         families["eigenscan_info"].samples if "eigenscan_info" in families else families["eigenscan"].samples
     )

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 
 from eigenscan.fleet.view import FleetView
+from eigenscan.runtime.health import LEVELS
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 
@@ -37,12 +38,12 @@ class SiteCollector:
         )
         for name in view.all_robots():
             robot = view.robots.get(name)
-            pose = robot.pose if robot is not None else None
-            state.add_metric([name], pose.state if pose is not None else 0)
+            pose, labels = robot.pose if robot is not None else None, [view.site, name]
+            state.add_metric(labels, pose.state if pose is not None else 0)
             if robot is not None and pose is not None:
-                confidence.add_metric([name], pose.confidence)
-                age.add_metric([name], now - robot.received_at)
-                old.add_metric([name], float(robot.is_old(view.model_version)))
+                confidence.add_metric(labels, pose.confidence)
+                age.add_metric(labels, now - robot.received_at)
+                old.add_metric(labels, float(robot.is_old(view.model_version)))
         yield from (state, confidence, age, old)
 
     def _services(self) -> Iterator[Metric]:
@@ -53,10 +54,11 @@ class SiteCollector:
         age = _gauge("service_health_age_seconds", "since its newest health arrived here", *who)
         clock = _gauge("service_clock_offset_seconds", "its clock before ours", *who)
         counts = CounterMetricFamily(
-            "eigenscan_service_messages", "its own counters, since its start", labels=[*who, "what"]
+            "eigenscan_service_messages", "its own counters, since its start", labels=["site", *who, "what"]
         )
+        levels = _gauge("service_level", "what it has now: samples that wait, regions", *who, "what")
         for service in self._view.services.values():
-            labels = [service.name, service.instance, service.robot]
+            labels = [self._view.site, service.name, service.instance, service.robot]
             up.add_metric(labels, float(bool(service.contracts)))
             if service.health is None:
                 continue
@@ -64,9 +66,9 @@ class SiteCollector:
             age.add_metric(labels, now - service.received_at)
             clock.add_metric(labels, service.clock_offset_s or 0.0)
             for what, count in sorted(service.health.counters.items()):
-                counts.add_metric([*labels, what], count)
-        yield from (up, status, age, clock, counts)
+                (levels if what in LEVELS else counts).add_metric([*labels, what], count)
+        yield from (up, status, age, clock, counts, levels)
 
 
 def _gauge(name: str, about: str, *labels: str) -> GaugeMetricFamily:
-    return GaugeMetricFamily(f"eigenscan_{name}", about, labels=labels)
+    return GaugeMetricFamily(f"eigenscan_{name}", about, labels=["site", *labels])

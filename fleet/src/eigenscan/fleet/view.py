@@ -339,3 +339,8 @@ class FleetView:
         for service in self.services.values():
             if service.name in names and holds(service.robot, robot):
                 yield service
+
+
+def no_service(site: str) -> str:
+    """What is wrong, and the fix, where no service of a site answers."""
+    return f"no service of site {site} answers: check --site, or start its services"

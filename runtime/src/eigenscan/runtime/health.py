@@ -23,6 +23,8 @@ STALLED_AFTER_S = 10.0
 
 WAITING = "waiting"
 """The only counter that also falls."""
+LEVELS = frozenset({WAITING, "lidars", "mcap_slowest_ms", "positions", "regions"})
+"""Counters of the health whose rate has no meaning: gauges for Prometheus."""
 
 DUPLICATE_HINT = "give each instance of a service its own --instance"
 DUPLICATE_FORGOTTEN_S = 3.0

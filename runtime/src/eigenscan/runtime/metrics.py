@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import accumulate
 
-from eigenscan.runtime.health import WAITING, Monitor, Times
+from eigenscan.runtime.health import LEVELS, WAITING, Monitor, Times
 from eigenscan.schemas.channels import CONTRACT_VERSION
 from prometheus_client import CollectorRegistry, Info, ProcessCollector
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
@@ -50,10 +50,11 @@ class _Counters(Collector):
             "messages received, published, dropped and rejected since the start",
             labels=["what"],
         )
+        levels = GaugeMetricFamily("eigenscan_level", "what it has now, such as regions", labels=["what"])
         for name, value in sorted(condition.counters.items()):
             if name != WAITING:
-                counts.add_metric([name], value)
-        yield counts
+                (levels if name in LEVELS else counts).add_metric([name], value)
+        yield from (counts, levels)
         yield GaugeMetricFamily(
             "eigenscan_waiting_messages", "samples in the inbox now", condition.counters.get(WAITING, 0)
         )

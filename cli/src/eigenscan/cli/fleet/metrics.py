@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +12,8 @@ from eigenscan.cli.names import Site
 from eigenscan.schemas.channels import DEFAULT_SITE
 
 UPDATE_S = 0.2
+SILENT_S = 10.0
+"""After which a site without any service is stated: its name may be wrong."""
 
 
 def metrics(
@@ -30,13 +34,16 @@ def metrics(
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.fleet.collector import SiteCollector
     from eigenscan.fleet.configuration import robots_in
-    from eigenscan.fleet.view import FleetView, connect
+    from eigenscan.fleet.view import FleetView, connect, no_service
     from eigenscan.runtime.errors import UsageError
     from eigenscan.runtime.stop_event import StopEvent
     from prometheus_client import CollectorRegistry, start_http_server
 
-    stop = StopEvent()
-    with stop.on_signals(), FleetView(connect(zenoh), site, robots_in(zenoh)) as view:
+    with (
+        closing(StopEvent()) as stop,
+        stop.on_signals(),
+        FleetView(connect(zenoh), site, robots_in(zenoh)) as view,
+    ):
         registry = CollectorRegistry()
         collector = SiteCollector(view)
         registry.register(collector)
@@ -45,7 +52,14 @@ def metrics(
         except OSError as error:
             raise UsageError(f"--port {port}: cannot listen on {host}: {error.strerror}") from error
         typer.echo(f"http://{host}:{server.server_port}/metrics")
+        silent_since: float | None = time.monotonic()
         while not stop.stopping:
             stop.wait(UPDATE_S)
             collector.update()
+            if not view.is_silent:
+                silent_since = None
+            elif silent_since is not None and time.monotonic() - silent_since > SILENT_S:
+                silent_since = None
+                typer.echo(f"eigenscan fleet metrics: {no_service(site)}", err=True)
         server.shutdown()
+        server.server_close()

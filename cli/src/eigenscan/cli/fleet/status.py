@@ -43,7 +43,7 @@ def status(
       eigenscan fleet status --site hospital --json -
     """  # noqa: D301 - \b keeps the lines apart in --help
     from eigenscan.fleet.configuration import robots_in
-    from eigenscan.fleet.view import FleetView, connect
+    from eigenscan.fleet.view import FleetView, connect, no_service
     from rich.console import Console
     from rich.live import Live
 
@@ -55,7 +55,7 @@ def status(
                 console.print(table(view))
             write_figures({"site": site, "model": view.model_version, "robots": rows(view)}, json_file)
             if view.is_silent:
-                raise FailedError(f"no service of site {site} answers: check --site, or start its services")
+                raise FailedError(no_service(site))
             return
         with Live(table(view), console=console, auto_refresh=False) as live:
             try:
