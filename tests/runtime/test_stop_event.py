@@ -4,6 +4,7 @@ import signal
 import threading
 import time
 
+import pytest
 from eigenscan.runtime.stop_event import StopEvent
 
 
@@ -24,3 +25,17 @@ def test_a_signal_that_another_thread_takes_ends_the_sleep() -> None:
         thread.join()
     assert stop.stopping
     stop.close()
+
+
+@pytest.mark.parametrize("before", [signal.SIG_DFL, signal.SIG_IGN])
+def test_a_closed_terminal_ends_what_nohup_does_not_keep(before: signal.Handlers) -> None:
+    """SIGHUP killed a recorder at once, and its file was torn."""
+    usual = signal.signal(signal.SIGHUP, before)
+    stop = StopEvent()
+    try:
+        with stop.on_signals():
+            signal.raise_signal(signal.SIGHUP)
+        assert stop.stopping is (before is signal.SIG_DFL)
+    finally:
+        signal.signal(signal.SIGHUP, usual)
+        stop.close()

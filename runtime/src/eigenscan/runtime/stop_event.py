@@ -27,7 +27,7 @@ class Stopping(Protocol):
 
 
 class StopEvent:
-    """A flag for "stop", and a sleep that `set` and the first of SIGTERM and SIGINT end."""
+    """A flag for "stop", and a sleep that `set` and the first of SIGTERM, SIGINT and SIGHUP end."""
 
     def __init__(self) -> None:
         self.stopping = False
@@ -53,7 +53,7 @@ class StopEvent:
 
     @contextlib.contextmanager
     def on_signals(self) -> Iterator[None]:
-        """Turns SIGTERM and SIGINT into `stop`, in the main thread only."""
+        """Turns SIGTERM, SIGINT and a closed terminal's SIGHUP into `stop`, in the main thread only."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -61,7 +61,10 @@ class StopEvent:
         def handler(_number: int, _frame: FrameType | None) -> None:
             self.stop()
 
-        before = {number: signal.signal(number, handler) for number in (signal.SIGTERM, signal.SIGINT)}
+        numbers = [signal.SIGTERM, signal.SIGINT]
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
+            numbers.append(signal.SIGHUP)
+        before = {number: signal.signal(number, handler) for number in numbers}
         # otherwise a signal just before `select` would be handled only after it
         woken = signal.set_wakeup_fd(self._write.fileno(), warn_on_full_buffer=False)
         try:
