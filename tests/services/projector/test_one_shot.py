@@ -226,9 +226,21 @@ def _change(**fields: object) -> Callable[[LocalizeQuery], None]:
         (lambda query: query.near.CopyFrom(Pose2(x=math.nan)), "near: not finite"),
         (lambda query: query.near.CopyFrom(Pose2()), "radius: 0.0 m"),
         (lambda query: query.MergeFrom(LocalizeQuery(near=Pose2(), radius=math.nan)), "radius: nan m"),
+        (
+            lambda query: query.MergeFrom(LocalizeQuery(near=Pose2(), radius=math.inf)),
+            "radius: inf m; must be finite",
+        ),
         (lambda query: query.MergeFrom(LocalizeQuery(radius=2.0)), "near: missing"),
         (lambda query: query.MergeFrom(LocalizeQuery(near=Pose2(), radius=1.0, turn=-1.0)), "turn: -1.0"),
         (lambda query: query.MergeFrom(LocalizeQuery(region="nowhere")), "region: 'nowhere'"),
+        (
+            lambda query: query.MergeFrom(LocalizeQuery(region="n" * 12_000)),
+            "region: 'n{79} is none of the",
+        ),
+        (
+            lambda query: query.MergeFrom(LocalizeQuery(floor="n" * 12_000)),
+            "floor: 'n{79} is not of this map",
+        ),
         (lambda query: query.MergeFrom(LocalizeQuery(floor="first")), "floor: 'first' .* it has no floors$"),
         (
             lambda query: query.MergeFrom(LocalizeQuery(near=Pose2(x=9e5), radius=1.0)),

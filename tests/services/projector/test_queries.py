@@ -131,7 +131,7 @@ def test_the_code_of_the_page_prints_where(served: Served, capsys: pytest.Captur
     ("payload", "encoding", "words"),
     [
         (None, None, "no payload: give an eigenscan.LocalizeQuery"),
-        (b"\xff\xff\xff", None, "3 bytes do not decode"),
+        (b"\xff\xff\xff", None, "localize: 3 bytes do not decode"),
         (b"{}", "application/json", "encoding 'application/json'"),
         (b"\0" * 131_073, None, "131073 bytes; at most 131072"),
         (LocalizeQuery(radius=1.0).SerializeToString(), None, "scan.ranges: no beams"),

@@ -65,7 +65,7 @@ class Allowed:
         floor = _floor(query.floor, site.floors)
         near = _near(query, floor)
         if query.region and query.region not in site.regions:
-            raise QueryError(f"region: {query.region!r} is none of the {len(site.regions)} of this map")
+            raise QueryError(f"region: {query.region!r:.80} is none of the {len(site.regions)} of this map")
         kept = np.ones(len(site.boxes), dtype=bool)
         if query.region:
             kept &= np.array(site.regions) == query.region
@@ -202,12 +202,12 @@ def _floor(name: str, floors: Sequence[Floor]) -> Floor | None:
         if floor.name == name:
             return floor
     known = ", ".join(repr(floor.name) for floor in floors) or "no floors"
-    raise QueryError(f"floor: {name!r} is not of this map; it has {known}")
+    raise QueryError(f"floor: {name!r:.80} is not of this map; it has {known}")
 
 
 def _near(query: LocalizeQuery, floor: Floor | None) -> Array | None:
     if not (math.isfinite(query.turn) and query.turn >= 0.0):
-        raise QueryError(f"turn: {query.turn} rad; must be 0 or more")
+        raise QueryError(f"turn: {query.turn} rad; must be finite, 0 or more")
     if not query.HasField("near"):
         if query.radius or query.turn:
             raise QueryError("near: missing; radius and turn are about it")
@@ -216,7 +216,7 @@ def _near(query: LocalizeQuery, floor: Floor | None) -> Array | None:
     if not np.isfinite(near).all():
         raise QueryError("near: not finite; m, m, rad in the map frame")
     if not (math.isfinite(query.radius) and query.radius > 0.0):
-        raise QueryError(f"radius: {query.radius} m; must be above 0")
+        raise QueryError(f"radius: {query.radius} m; must be finite and above 0")
     return near if floor is None else compose(floor.origin, near)
 
 
