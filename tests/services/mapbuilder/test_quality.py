@@ -30,7 +30,8 @@ def test_thick_walls_are_reported_and_what_follows() -> None:
     found = quality(room(5), POINTS, 20.0)
     assert found.wall_thickness_m == pytest.approx(0.5, abs=0.11)
     assert found.thinned
-    assert "fewer scans" in found.expectation
+    assert "models use their middles, and fewer scans" in found.expectation
+    assert "eigenscan map DRIVE --on MAP" in found.expectation
 
 
 def test_where_no_wall_is_in_reach_none_is_in_sight() -> None:

@@ -38,7 +38,8 @@ class Quality:
     def expectation(self) -> str:
         """Consequences for localization, as text; empty for an ordinary map."""
         return (
-            "thicker than a lidar's error: a surface may lie anywhere in them, and fewer scans are sure"
+            "thicker than a lidar's error, so models use their middles, and fewer scans are sure; "
+            "eigenscan map DRIVE --on MAP draws them as a lidar sees them"
             if self.thinned
             else ""
         )

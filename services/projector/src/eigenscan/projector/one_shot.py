@@ -103,7 +103,7 @@ class Allowed:
 def answer(
     query: LocalizeQuery, site: Site, settings: ProjectorSettings, *, whole: bool = False
 ) -> LocalizeReply:
-    """Candidates of one scan; `whole`: only once all regions are ready. Raises QueryError naming the field."""
+    """Candidates of one scan; `whole`: once all regions are ready. Raises QueryError naming the field."""
     scan = canonical(query.scan)
     seen, mount = observe(scan), from_message(scan.mount)
     allowed = Allowed.of(query, site)
