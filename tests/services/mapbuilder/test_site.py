@@ -21,7 +21,7 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.loopback import Loopback
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
-from PIL import Image
+from PIL import Image, ImageDraw
 from pydantic import ValidationError
 
 from tests.environment import DATASETS
@@ -125,6 +125,22 @@ def test_a_region_under_others_keeps_its_outline_in_the_picture(office: GridMap)
     seen = pixels[corners[:, 1], corners[:, 0]]
     drawn = np.abs(seen[:, None] - colours).max(axis=-1).min(axis=1) < 10
     assert drawn.mean() > 0.95
+
+
+def test_names_lie_beside_each_other_in_the_picture(office: GridMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a site of 1,341 regions nothing else was to be seen. Where they fit, all are drawn."""
+    areas, drawn = lay_out(office, QUICK).areas, list[str]()
+
+    def write(_: object, _place: object, text: str, *_style: object, **_more: object) -> None:
+        drawn.append(text.partition("\n")[0])
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", write)
+    under = [replace(area, name=f"{area.name}b") for area in areas]
+    draw_regions(office, [*areas, *under])
+    names = {area.name for area in areas}
+    assert [name for name in drawn if name in names | {area.name for area in under}] == [
+        area.name for area in sorted(areas, key=lambda one: -one.size)
+    ]
 
 
 def published(core: MapbuilderCore) -> list[Envelope]:

@@ -32,8 +32,7 @@ def draw_regions(grid: GridMap, areas: Sequence[Area]) -> bytes:
             pen.rectangle((x - 0.5, y - 0.5, x + 0.5, y + 0.5), fill=(*colour, 200))
     image = Image.alpha_composite(image, shade)
     pen = ImageDraw.Draw(image)
-    for area in areas:
-        _name(pen, view, area)
+    _names(pen, view, areas)
     _legend(pen, view, areas)
     file = BytesIO()
     image.convert("RGB").save(file, format="PNG", optimize=True)
@@ -46,25 +45,33 @@ def _colour(number: int) -> tuple[int, int, int]:
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
-def _name(pen: ImageDraw.ImageDraw, view: Backdrop, area: Area) -> None:
-    points = area.positions.points
-    nearest = np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1))
-    (place,) = view.pixels(points[nearest : nearest + 1])
-    pen.text(
-        place,
-        f"{area.name}\n{area.size:.0f} m2",
-        fill=(0, 0, 0),
-        font=ImageFont.load_default(15),
-        anchor="mm",
-        align="center",
-        stroke_width=2,
-        stroke_fill=(255, 255, 255),
-    )
+def _names(pen: ImageDraw.ImageDraw, view: Backdrop, areas: Sequence[Area]) -> None:
+    """Names and areas where they fit, the largest region's first: beside none that is drawn already."""
+    font = ImageFont.load_default(15)
+    drawn = np.zeros((0, 4))
+    for area in sorted(areas, key=lambda one: -one.size):
+        points, text = area.positions.points, f"{area.name}\n{area.size:.0f} m2"
+        nearest = np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1))
+        (place,) = view.pixels(points[nearest : nearest + 1])
+        left, top, right, bottom = box = pen.textbbox(place, text, font, "mm", align="center", stroke_width=2)
+        beside = (drawn[:, 0] > right) | (drawn[:, 2] < left) | (drawn[:, 1] > bottom) | (drawn[:, 3] < top)
+        if beside.all():
+            drawn = np.vstack([drawn, box])
+            pen.text(
+                place,
+                text,
+                (0, 0, 0),
+                font,
+                "mm",
+                align="center",
+                stroke_width=2,
+                stroke_fill=(255, 255, 255),
+            )
 
 
 def _legend(pen: ImageDraw.ImageDraw, view: Backdrop, areas: Sequence[Area]) -> None:
     view.legend(
         pen,
         f"{len(areas)} regions, {view.grid.free_area:.0f} m2 free; each outline is one region, its area "
-        f"with what it shares with others;\neach dot a position with its panorama",
+        f"with what it shares with others;\neach dot a position with its panorama; names where they fit",
     )

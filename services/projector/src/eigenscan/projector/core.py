@@ -82,8 +82,8 @@ class ProjectorCore:
 
         `store` keeps tables for the next start. `aside` runs work that no answer depends on, in a thread.
         `search`: how a scan is searched for; another may keep what it found.
-        `whole_queries`: a query on {site}/localize waits for the whole site. Otherwise its answer may be about
-        the regions that are ready, and states so.
+        `whole_queries`: a query on {site}/localize waits for the whole site. Otherwise its answer may be
+        about the regions that are ready, and states so.
         """
         self._settings, self._instance, self._search = settings, instance, search
         self._whole_queries = whole_queries
