@@ -125,11 +125,11 @@ def test_what_may_fall_is_no_counter_and_each_site_has_its_own_metrics() -> None
         for sample in family.samples
         if sample.labels["site"] == "s"
     ]
-    told = {what: (kind, value) for kind, what, value in samples if what}
-    assert told == {
+    found = {what: (kind, value) for kind, what, value in samples if what}
+    assert found == {
         what: ("counter" if what == "heard_scan" else "gauge", value) for what, value in counters.items()
     }
-    assert len(samples) == len(told) + 5  # state, up, status, age, clock
+    assert len(samples) == len(found) + 5  # state, up, status, age, clock
 
 
 @pytest.mark.parametrize("form", ["--once", "--json=-"])

@@ -1,7 +1,6 @@
 """Progress of long work where standard error is a file, such as the log of a night's build."""
 
 import pytest
-from eigenscan.workbench import progress
 from eigenscan.workbench.progress import Bars
 
 
@@ -9,7 +8,7 @@ def test_a_log_gets_a_line_now_and_then_and_nothing_of_short_work(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = 0.0
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now)
+    monkeypatch.setattr("time.monotonic", lambda: now)
     with Bars(transient=True) as bars:
         moved, advance = bars.start_steps(), bars.start("windows", 25)
         for second in range(8):
