@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import threading
 from pathlib import Path
+from typing import IO
 
 import pytest
 from eigenscan.eigenspace import folder as folders
 from eigenscan.eigenspace.folder import SiteModel, read_models, write_models
 from eigenscan.eigenspace.model import ModelError
+from eigenscan.eigenspace.pieces import Pieces
 from eigenscan.eigenspace.versions import choose, exchange, kept_in, replace, versions
 from eigenscan.geometry.gridmap import GridMap, read_map
 
@@ -103,3 +106,30 @@ def test_a_version_that_is_just_being_written_is_none_yet(tmp_path: Path) -> Non
     for seed in range(2, 9):
         write_models(made(seed), folder)
     assert half.is_dir()
+
+
+def test_a_build_that_waited_for_the_lock_of_one_that_ended_has_a_lock_that_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It had the lock of a deleted folder: a third build began, and its pieces could not be kept."""
+    before = [Pieces(tmp_path / "m")]
+    before[0].__enter__()
+    lock = fcntl.flock
+
+    def late(file: IO[str], how: int) -> None:
+        while before:
+            before.pop().__exit__(None, None, None)
+        lock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with Pieces(tmp_path / "m") as pieces:
+        assert (pieces.place / "lock").is_file()
+        with pytest.raises(ModelError, match="another build is at it"), Pieces(tmp_path / "m"):
+            pass
+
+
+def test_the_folder_one_is_in_can_be_built_into(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "m").mkdir()
+    monkeypatch.chdir(tmp_path / "m")
+    with Pieces(Path()) as pieces:
+        assert pieces.place == tmp_path / "m.pieces"

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from eigenscan.eigenspace.folder import SiteModel, read_models, write_models
 from eigenscan.eigenspace.model import ModelError
-from eigenscan.eigenspace.versions import choose, exchange, kept_in, versions
+from eigenscan.eigenspace.versions import choose, exchange, kept_in, replace, versions
 
 from tests.command import eigenscan
 from tests.eigenspace.test_model import model, site
@@ -127,3 +127,17 @@ def test_what_else_lies_among_the_versions_is_left_alone(three: tuple[Path, list
         build(folder, seed, 1000 + seed)
     assert (other / "why.txt").exists()
     assert len(versions(folder)) == KEPT + 1
+
+
+def test_a_link_to_a_model_folder_stays_one_and_its_versions_lie_beside_the_folder(tmp_path: Path) -> None:
+    """The link itself was swapped: it became a folder, and the version that was kept led nowhere."""
+    (tmp_path / "disk").mkdir()
+    link, folder = tmp_path / "m", tmp_path / "disk" / "m1"
+    write_models(SiteModel(site().grid, "map", (model("a", 0),)), folder)
+    link.symlink_to("disk/m1")
+    write_models(SiteModel(site().grid, "map", (model("a", 1),)), link)
+    assert link.is_symlink()
+    assert [one.folder.parent for one in versions(link)[1:]] == [tmp_path / "disk" / "m1.versions"]
+    replace(link, choose(versions(link), None, link).folder)
+    assert read_models(link).regions[0].version == model("a", 0).version
+    assert link.is_symlink()

@@ -316,3 +316,14 @@ def test_a_grid_from_the_network_lies_where_a_building_can(field: str, value: fl
     if field == "resolution" or not abs(value) < 1.0:
         with pytest.raises(MapError):
             from_message(message)
+
+
+@pytest.mark.parametrize("yaw", [90.0, -180.0])
+def test_a_yaw_in_degrees_is_refused(tmp_path: Path, yaw: float) -> None:
+    path = tmp_path / "map.yaml"
+    grid = GridMap(np.array([[FREE, OCCUPIED]], dtype=np.uint8), 0.05, np.array([0.0, 0.0, yaw]))
+    write_map(grid, path)
+    with pytest.raises(MapError, match=r"map.yaml: origin = .*radians"):
+        read_map(path)
+    with pytest.raises(MapError, match="origin = "):
+        check_grid(grid)

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from eigenscan.eigenspace.model import ModelError
 from eigenscan.geometry.circle import wrap
-from eigenscan.geometry.gridmap import OCCUPIED, GridMap, MapError, to_message, write_map
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap, MapError, to_message, write_map
 from eigenscan.geometry.pose import compose, inverse, to_pose3
 from eigenscan.ingest.core import ScanIngestCore
 from eigenscan.ingest.settings import ScanIngestSettings
@@ -39,6 +40,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 MOVING = 250
+ROWS: Any = [[1], [2, 3], 4]
 SWEPT = Stage(office().render(), Scenario(seconds=32.0, lidar=LIDARS["rplidar-a2"]))
 STAGE = Stage(office().render(), Scenario(seconds=12.0, lidar=Lidar(rate=5.0)))
 
@@ -235,6 +237,8 @@ Sweep: Any = partial(Scan, angle_min=-1.57, angle_increment=0.0087, range_max=30
             "metres_per_unit = '0.05': give a number, m",
         ),
         (lambda it: it.track(GOOD, (1, 2)), ValueError, r"odometry of shape \(2,\): give x, y and heading"),
+        (lambda it: it.floor((1, 2)), ValueError, r"pose of shape \(2,\): give x, y and heading"),
+        (lambda it: it.localize(replace(GOOD, mount=ROWS)), ScanError, "mount = .*: give x, y"),
     ],
 )
 def test_a_wrong_argument_is_named_with_what_would_do(
@@ -402,6 +406,14 @@ def test_an_image_needs_a_scale(tmp_path: Path) -> None:
 def test_what_is_no_map_is_named_as_such(given: str, words: str) -> None:
     with pytest.raises(MapError, match=words):
         Localizer.from_map(given)
+
+
+def test_a_map_without_a_place_to_stand_is_named(tmp_path: Path) -> None:
+    cells = np.full((9, 9), OCCUPIED, dtype=np.uint8)
+    cells[4, 4] = FREE
+    write_map(GridMap(cells, 0.05, np.array([0.03, 0.03, 0.0])), tmp_path / "map.yaml")
+    with pytest.raises(ModelError, match=r"map.yaml: no free position"):
+        Localizer.from_map(tmp_path / "map.yaml")
 
 
 def test_a_map_is_no_log(drive: Path) -> None:

@@ -201,3 +201,21 @@ def test_distances_found_in_bands_are_those_of_the_whole(monkeypatch: pytest.Mon
     expected = distance_transform_edt(~there) * resolution <= far_m
     assert 0 < expected.sum() < expected.size
     np.testing.assert_array_equal(raster._near(there, far_m, resolution), expected)
+
+
+@pytest.mark.parametrize("scale", [-0.01, 0.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("name", ["plan.dxf", "plan.svg"])
+def test_a_scale_that_is_none_is_refused_before_the_drawing_is_read(
+    tmp_path: Path, name: str, scale: float
+) -> None:
+    """A DXF with a circle took for ever at a negative one; an SVG was turned by half a turn."""
+    (tmp_path / name).touch()
+    with pytest.raises(MapError, match=f"{name}: --metres-per-unit {scale:g}: give metres above 0"):
+        read_plan(tmp_path / name, PlanOptions(scale))
+
+
+def test_a_filled_point_is_no_wall(tmp_path: Path) -> None:
+    square = np.array([[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]], dtype=np.float64)
+    alone = rasterize(tmp_path, Walls([square]), 0.05)
+    with_point = rasterize(tmp_path, Walls([square], [square[:1] + 2.0]), 0.05)
+    np.testing.assert_array_equal(with_point.cells, alone.cells)

@@ -119,6 +119,11 @@ def test_scans_that_saw_nothing_join_nothing(furnished: GridMap, ranges: np.ndar
         joined(good, Outline.of(ranges, BEARINGS))
 
 
+def test_no_scans_make_no_map() -> None:
+    with pytest.raises(MappingError, match="of 0 scans fit"):
+        composite([])
+
+
 def test_models_from_four_scans_alone_show_the_room(furnished: GridMap) -> None:
     poses = poses_in_the_room(2)
     outlines = [scan(furnished, pose, k) for k, pose in enumerate(poses)]

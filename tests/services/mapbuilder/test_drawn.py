@@ -1,5 +1,6 @@
 import json
 import subprocess
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -136,3 +137,22 @@ def test_build_takes_regions_and_leaves_them_to_be_edited(office: GridMap, tmp_p
     assert done.returncode == 2
     assert "rooms.geojson: region 'moon' holds no free space" in done.stderr
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("name", ["a\0b", "a\nb", "\ud800", "😀" * 51, "a@b"])
+def test_a_name_that_no_file_or_key_can_have_is_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "regions.geojson"
+    path.write_text(json.dumps(collection(feature(rectangle(0, 0, 7, 9).tolist(), name=name))))
+    with pytest.raises(RegionsError, match=r"feature 1: properties.name"):
+        read_regions(path)
+
+
+def test_many_regions_on_a_large_map_take_no_mask_each() -> None:
+    """A hundred rooms on a square kilometre took 10 GB."""
+    grid = GridMap(np.zeros((1500, 1500), dtype=np.uint8), 0.1, np.zeros(3))
+    drawn = [region(f"r{n}", rectangle(n, 0, n + 1, 10)) for n in range(100)]
+    tracemalloc.start()
+    divide_as_drawn(grid, drawn, ALONE)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 40 * grid.cells.size

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -181,3 +182,16 @@ def test_without_dask_the_extra_is_named(office: GridMap, tmp_path: Path) -> Non
     assert result.stderr.strip() == (
         "eigenscan build: --workers and --scheduler need dask: pip install 'eigenscan[cluster]'"
     )
+
+
+def test_a_site_that_lacks_regions_is_not_published(office: GridMap, tmp_path: Path) -> None:
+    """Workers that were all gone built nothing, and the rest was published as the whole."""
+
+    class Gone:
+        count = 0
+
+        def build(self, *_: object) -> Iterator[tuple[int, list[bytes]]]:
+            yield from ()
+
+    with Pieces(tmp_path / "model") as pieces, pytest.raises(ModelError, match=r"regions r01, .* not built"):
+        build_pieces(office, QUICK, lay_out(office, QUICK), pieces, engine=Gone())

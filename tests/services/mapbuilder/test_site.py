@@ -13,6 +13,7 @@ from eigenscan.mapbuilder.backdrop import Backdrop
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.options import MapbuilderOptions
 from eigenscan.mapbuilder.picture import _colour, draw_regions
+from eigenscan.mapbuilder.positions import free_positions
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.shards import shards
 from eigenscan.mapbuilder.site import Plan, build_site, lay_out
@@ -190,3 +191,27 @@ def test_real_buildings_travel_small_and_come_back_whole(name: str) -> None:
     for model in site.regions[:3]:
         assert RegionModel.from_message(model.to_message()).version == model.version
         assert 0.5 < model.space.space.explained < 1.0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 200), (200, 1), (2, 2)])
+def test_a_map_too_narrow_for_a_region_is_refused(shape: tuple[int, int]) -> None:
+    with pytest.raises(ModelError, match="too narrow"):
+        lay_out(GridMap(np.full(shape, FREE, dtype=np.uint8), 0.05, np.zeros(3)), QUICK)
+
+
+def test_a_region_that_nobody_could_read_is_refused_before_it_is_built(
+    office: GridMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("eigenscan.mapbuilder.site.MOST_BYTES", 2 * 180 * 40)
+    with pytest.raises(ModelError, match=r"region 'r\d+' has \d+ positions of 180 beams.*coarser spacing"):
+        lay_out(office, QUICK)
+
+
+def test_positions_do_not_depend_on_how_many_are_looked_up_at_a_time(
+    office: GridMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = free_positions(office, 0.1, 0.15)
+    monkeypatch.setattr("eigenscan.mapbuilder.positions.AT_ONCE", 1000)
+    parts = free_positions(office, 0.1, 0.15)
+    np.testing.assert_array_equal(parts.index, whole.index)
+    assert parts.index.dtype == whole.index.dtype

@@ -136,3 +136,23 @@ def test_what_was_made_is_kept_with_the_models_and_published_at_the_next_start(
     assert not [e for e in damaged.start() if e.channel is SPACE]
     assert damaged.condition().counters["spaces_damaged"] == 1
     assert published(damaged, ask(180)) == want
+
+
+def test_kinds_of_other_eigenspaces_than_the_models_give_way(site: SiteModel, office: GridMap) -> None:
+    """They were made again for models that nobody searches so, and kept a robot from having its own."""
+    core = started(site)
+    for beams in range(100, 100 + OF_ONE_ROBOT):
+        assert published(core, ask(beams))
+    other = build_site(office, Plan(step=TURN / 180, components=8))
+    assert not [envelope for envelope in core.renew(other) if envelope.channel is SPACE]
+    found = published(core, ask(100))
+    assert set(found) == {(model.region, model.version) for model in other.regions}
+    assert {len(one.space.eigenvalues) for one in found.values()} == {8}
+
+
+def test_spaces_do_not_bring_back_a_folder_that_is_gone(site: SiteModel, tmp_path: Path) -> None:
+    """A build into its place was then refused: it was there and held no models."""
+    store, analysis = Store(tmp_path / "model"), site.regions[0].space.analysis
+    store.save_spaces(analysis, {model.version: model.space for model in site.regions})
+    assert store.counts == {"spaces_not_kept": 1}
+    assert not store.folder.exists()

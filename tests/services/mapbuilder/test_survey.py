@@ -1,3 +1,4 @@
+import tracemalloc
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from eigenscan.mapbuilder.mapping.cloud import Cloud, Outline
 from eigenscan.mapbuilder.mapping.correlation import Ground, correlate
 from eigenscan.mapbuilder.mapping.drawing import draw_way
 from eigenscan.mapbuilder.mapping.survey import Mapped, MappingError, survey
+from eigenscan.mapbuilder.mapping.visits import visit_edges
 from scipy.spatial import KDTree
 
 from tests.services.mapbuilder.building import BEARINGS, building, drive, scans
@@ -229,3 +231,14 @@ def test_all_scans_of_a_robot_that_stands_draw_the_map(grid: GridMap, way: np.nd
     alone = survey([replace(one, odometry=np.zeros(3)) for one in scans(grid, stand[:2])])
     walls = [np.count_nonzero(each.grid.cells == OCCUPIED) for each in (whole, alone)]
     assert walls[0] > 1.3 * walls[1]
+
+
+def test_visits_of_hours_in_one_room_are_not_all_held_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All pairs of 6,000 keyframes took 430 MB, and four times as much of each further double."""
+    monkeypatch.setattr("eigenscan.mapbuilder.mapping.visits._met", lambda *_: [])
+    poses = np.column_stack([np.random.default_rng(0).uniform(0, 4, (1500, 2)), np.zeros(1500)])
+    tracemalloc.start()
+    assert visit_edges([], poses) == []
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2_000_000

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from eigenscan.geometry.gridmap import FARTHEST_M
 from eigenscan.geometry.pose import Array, between, from_message, to_message
 from eigenscan.schemas.model_pb2 import ModelSet
 from numpy.typing import ArrayLike
-
-FARTHEST = 1e7
-"""m; no site reaches so far, and beyond it nothing is finite for long."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def _is_floor(published: ModelSet.Floor) -> bool:
         published.origin.y,
         published.origin.theta,
     ]
-    if not all(abs(number) < FARTHEST for number in numbers):
+    if not all(abs(number) <= FARTHEST_M for number in numbers):
         return False
     corner, along, _, across = np.column_stack([published.outline_x, published.outline_y])
     return float(np.hypot(*(along - corner))) > 0.0 and float(np.hypot(*(across - corner))) > 0.0

@@ -23,7 +23,7 @@ from typing import Any
 from eigenscan.eigenspace.floors import Floor
 from eigenscan.eigenspace.model import ModelError, RegionModel, set_of, set_version
 from eigenscan.eigenspace.region_file import pack_region, read_region
-from eigenscan.eigenspace.versions import MANIFEST, alone, put
+from eigenscan.eigenspace.versions import MANIFEST, alone, place_of, put
 from eigenscan.geometry.gridmap import GridMap, MapError, read_map, write_map
 from eigenscan.schemas import model_pb2
 from eigenscan.schemas.methods import of_service
@@ -102,6 +102,7 @@ def publish(
     Raises ModelError as write_models does.
     """
     check_place(folder)
+    folder = place_of(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         fresh = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))

@@ -7,8 +7,10 @@ whole or not at all, and is checked before use.
 from __future__ import annotations
 
 import fcntl
+import os
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -41,21 +43,31 @@ class Pieces:
 
     def __init__(self, folder: Path) -> None:
         check_place(folder)
-        self.folder, self.place = folder, folder.with_name(folder.name + ".pieces")
+        real = folder.resolve()  # the folder "." has no name
+        self.folder, self.place = folder, real.with_name(real.name + ".pieces")
         self._lock: IO[str] | None = None
 
     def __enter__(self) -> Pieces:
         try:
-            self.place.mkdir(parents=True, exist_ok=True)
-            self._lock = (self.place / "lock").open("w")
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            while self._lock is None:
+                self._lock = self._locked()
         except OSError as error:
-            if self._lock is not None:
-                self._lock.close()
             if isinstance(error, BlockingIOError):
                 raise ModelError(f"{self.folder}: another build is at it: wait for it, or stop it") from error
             raise ModelError(f"{self.place}: cannot be written: {error.strerror}: check the place") from error
         return self
+
+    def _locked(self) -> IO[str] | None:
+        """The lock; None if the build before has just deleted it with its pieces. Raises OSError."""
+        self.place.mkdir(parents=True, exist_ok=True)
+        path = self.place / "lock"
+        with ExitStack() as closing:
+            lock = closing.enter_context(path.open("w"))
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not (path.exists() and os.path.samestat(os.fstat(lock.fileno()), path.stat())):
+                return None
+            closing.pop_all()
+            return lock
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -16,7 +16,7 @@ from eigenscan.eigenspace.space_message import space_from_message, space_to_mess
 
 def write_spaces(made: Mapping[str, RegionSpace], path: Path) -> None:
     """Writes spaces by the version of the region's model, whole or not at all. Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(exist_ok=True)  # a model folder that is gone stays gone
     arrays = [space_arrays(own) for own in made.values()]
     partial = path.with_suffix(f".{os.getpid()}.part")
     try:

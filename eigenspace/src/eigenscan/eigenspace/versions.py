@@ -44,15 +44,21 @@ class Version:
     proposed_for: str = ""
 
 
+def place_of(folder: Path) -> Path:
+    """Where a model folder is: a link leads there and stays one, whatever is swapped in."""
+    return folder.resolve() if folder.is_symlink() else folder
+
+
 def kept_in(folder: Path) -> Path:
     """The folder of the versions that `folder` replaced."""
-    return folder.with_name(folder.name + ".versions")
+    place = place_of(folder)
+    return place.with_name(place.name + ".versions")
 
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
     """Waits until no other writer changes `folder`. Has no effect on a file system without locks."""
-    parent = os.open(folder.parent, os.O_RDONLY)
+    parent = os.open(place_of(folder).parent, os.O_RDONLY)
     try:
         with suppress(OSError):
             fcntl.flock(parent, fcntl.LOCK_EX)
@@ -144,6 +150,7 @@ def replace(folder: Path, fresh: Path) -> None:
 
 def put(folder: Path, fresh: Path) -> None:
     """As `replace`, for a writer that is `alone`."""
+    folder = place_of(folder)
     exchange(fresh, folder)
     old, current = _describe(fresh), _describe(folder)
     store = kept_in(folder)

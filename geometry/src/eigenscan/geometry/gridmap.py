@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Real
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.pose import from_pose3, inverse, to_pose3, transform
 from eigenscan.schemas.whole import whole
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
@@ -27,6 +29,8 @@ FINEST_M = 0.001
 """Least cell size, m: no lidar is finer, and endless cells would fill the memory."""
 FARTHEST_M = 1e7
 """m from the map frame's origin, at most: the farthest that grid coordinates of the Earth (UTM) reach."""
+_MOST_TURNED = 2.0 * TURN
+"""rad, of a map's yaw: a larger one is rather in degrees."""
 MOST_CELLS = 400_000_000
 """A square kilometre in cells of 5 cm."""
 SMALL_PIXELS, PIXELS_A_BYTE = 10_000_000, 10_000
@@ -119,7 +123,7 @@ def check_grid(grid: object) -> None:
         )
     if not isinstance(grid.resolution, Real) or not FINEST_M <= grid.resolution <= COARSEST_M:
         raise MapError(f"resolution = {grid.resolution!r}: give metres a cell, such as 0.05")
-    if origin.shape != (3,) or not (np.abs(origin.astype(np.float64)) <= FARTHEST_M).all():
+    if origin.shape != (3,) or not _is_pose(origin.astype(np.float64).tolist()):
         raise MapError(f"origin = {grid.origin}: give x, y and yaw (3,), m, m, rad")
 
 
@@ -155,10 +159,10 @@ def read_map(path: Path) -> GridMap:
     if given is None:
         raise MapError(f"{path}: origin is missing: give [x, y, yaw] in metres and radians")
     origin = [_as_number(value) for value in given] if isinstance(given, list) else []
-    if len(origin) != 3 or not all(value is not None and abs(value) <= FARTHEST_M for value in origin):
+    if len(origin) != 3 or not _is_pose(origin):
         raise MapError(
             f"{path}: origin = {str(given)[:80]}: give [x, y, yaw] in metres and radians, "
-            f"{FARTHEST_M:g} m at most"
+            f"{FARTHEST_M:g} m and two turns at most"
         )
     if not isinstance(meta.get("image"), str):
         raise MapError(f"{path}: image is missing: name the pgm or png beside this file")
@@ -227,6 +231,12 @@ def _as_number(value: object) -> float | None:
         return float(value)
     except (ValueError, OverflowError):
         return None
+
+
+def _is_pose(origin: Sequence[float | None]) -> bool:
+    """Whether x, y and yaw are numbers that an origin may have, m, m, rad."""
+    most = (FARTHEST_M, FARTHEST_M, _MOST_TURNED)
+    return all(value is not None and abs(value) <= limit for value, limit in zip(origin, most, strict=True))
 
 
 def _pixels(path: Path, file: Path) -> tuple[NDArray[np.uint8], bool]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+from eigenscan.geometry.distance_tiles import box_of
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.pose import compose, transform
 from eigenscan.localize.answers import Hypotheses
 from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.transforms import Affine2D
-from numpy.typing import NDArray
 
 BEST, OTHER, SEEN = "#d62728", "#1f77b4", "#ff7f0e"
 WALL, FLOOR, NOTHING = 0.15, 1.0, 0.85
@@ -38,14 +38,11 @@ def _draw_map(grid: GridMap, axes: Axes) -> None:
     x, y, theta = grid.origin
     placed = Affine2D().scale(grid.resolution).rotate(theta).translate(x, y) + axes.transData
     axes.imshow(grey, "gray", vmin=0, vmax=1, origin="lower", extent=(0, width, 0, height), transform=placed)
-    rows, columns = np.nonzero((grid.cells == FREE) | (grid.cells == OCCUPIED))
-    corners = grid.to_map(np.array([[c, r] for c in _ends(columns) for r in _ends(rows)]))
+    rows, columns = box_of(grid.cells != UNKNOWN)
+    ends = [[c, r] for c in (columns.start, columns.stop) for r in (rows.start, rows.stop)]
+    corners = grid.to_map(np.array(ends))
     low, high = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-
-
-def _ends(indices: NDArray[np.int64]) -> tuple[int, int]:
-    return int(indices.min()), int(indices.max()) + 1
 
 
 def _draw_poses(found: Hypotheses, axes: Axes) -> None:

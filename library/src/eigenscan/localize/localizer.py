@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from eigenscan.eigenspace.floors import floor_of
 from eigenscan.eigenspace.folder import SiteModel, read_models
+from eigenscan.eigenspace.model import ModelError
 from eigenscan.geometry.gridmap import GridMap, MapError, check_grid, to_message
 from eigenscan.geometry.plans import PlanOptions, read_plan
 from eigenscan.geometry.pose import to_message as pose_message
@@ -102,7 +103,10 @@ class Localizer:
         except MapError as error:  # which names the command line's options
             words = str(error).replace("--metres-per-unit", "metres_per_unit").replace("--layer", "layers")
             raise MapError(words) from error
-        return cls.from_grid(grid, method)
+        try:
+            return cls.from_grid(grid, method)
+        except ModelError as error:
+            raise ModelError(f"{path}: {error}") from error
 
     @classmethod
     def from_grid(cls, grid: GridMap, method: str = "default") -> Localizer:
@@ -160,10 +164,11 @@ class Localizer:
     def floor(self, pose: ArrayLike) -> tuple[str, NDArray[np.float64]] | None:
         """The floor of a pose (3,): its name, and the pose in that floor's own map frame.
 
-        None if the models have no floors, or the pose is on none.
+        None if the models have no floors, or the pose is on none. Raises ValueError for what is no pose.
         """
-        found = floor_of(self.site.floors, pose)
-        return None if found is None else (found.name, found.own(pose))
+        at = _pose(pose, "pose")
+        found = floor_of(self.site.floors, at)
+        return None if found is None else (found.name, found.own(at))
 
     def forget(self) -> None:
         """Forgets all tracks."""

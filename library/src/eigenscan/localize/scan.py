@@ -55,7 +55,11 @@ class Scan:
     def __post_init__(self) -> None:
         """Raises ScanError where a field has another shape, or is no number."""
         self._row()
-        if np.shape(self.mount) != (3,):
+        try:
+            shape: tuple[int, ...] = np.shape(self.mount)
+        except ValueError:  # rows of unlike length
+            shape = ()
+        if shape != (3,):
             raise ScanError(f"mount = {self.mount!r}: give x, y and heading in the robot's frame, m, m, rad")
         for name, unit in _UNITS.items():
             value = getattr(self, name)

@@ -7,7 +7,9 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from eigenscan.eigenspace.floors import Floor
 from eigenscan.eigenspace.folder import SiteModel, read_models, write_models
 from eigenscan.eigenspace.model import ModelError
 from eigenscan.eigenspace.versions import CHANGE, KEPT, choose, choose_proposal, kept_in, versions
@@ -57,6 +59,17 @@ def test_what_is_in_use_is_given_once_and_again_when_it_is_another(store: Store,
     assert accepted is not None
     assert accepted.to_message().version == version
     assert store.renewed() is None
+
+
+def test_a_floor_whose_own_frame_moved_is_news(store: Store, office: GridMap) -> None:
+    """The set has the same version, so poses stayed in the frame that the floor had before."""
+    site, outline = build_site(office, PLAN), np.array([[0, 0], [14, 0], [14, 9], [0, 9]], dtype=np.float64)
+    for x in (0.0, 40.0):
+        floor = Floor("ground", np.array([x, 0.0, 0.0]), outline)
+        write_models(replace(site, floors=(floor,)), store.folder)
+        found = store.renewed()
+        assert found is not None
+        assert found.floors[0].origin[0] == x
 
 
 def test_a_folder_that_cannot_be_read_is_reported_once_and_read_when_it_is_mended(

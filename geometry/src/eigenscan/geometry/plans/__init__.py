@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +38,8 @@ def read_plan(path: Path, options: PlanOptions) -> GridMap:
         if scale is None:
             raise MapError(f"{path}: an image has no scale: give --metres-per-unit, m a pixel")
         return read_image(path, scale)
+    if scale is not None and not 0.0 < scale < math.inf:
+        raise MapError(f"{path}: --metres-per-unit {scale:g}: give metres above 0, such as 0.01")
     from eigenscan.geometry.plans.raster import rasterize
 
     if kind == ".dxf":

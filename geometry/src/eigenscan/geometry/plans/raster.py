@@ -36,7 +36,8 @@ class Walls:
 
 def rasterize(path: Path, walls: Walls, resolution: float) -> GridMap:
     """The map of `walls`, in the drawing's frame. Raises MapError if nothing is enclosed."""
-    drawn = [line for line in (*walls.lines, *walls.filled) if len(line) > 1]
+    walls = Walls(*([line for line in part if len(line) > 1] for part in (walls.lines, walls.filled)))
+    drawn = [*walls.lines, *walls.filled]
     if not drawn:
         raise MapError(f"{path}: no wall in it: check --layer")
     points = np.concatenate(drawn)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
+from eigenscan.geometry.distance_tiles import box_of
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
@@ -17,10 +18,10 @@ class Backdrop:
 
     def __init__(self, grid: GridMap) -> None:
         self.grid = grid
-        known = grid.cells != 255
-        rows, columns = np.nonzero(known if known.any() else ~known)
-        self.low = np.array([columns.min(), rows.min()])
-        self.high = np.array([columns.max() + 1, rows.max() + 1])
+        known = grid.cells != UNKNOWN
+        rows, columns = box_of(known if known.any() else ~known)
+        self.low = np.array([columns.start, rows.start])
+        self.high = np.array([columns.stop, rows.stop])
         cells = int((self.high - self.low).max())
         self.scale = float(np.clip(_SIDE / cells, 1 / 3, 4.0))
         self.size = np.ceil((self.high - self.low) * self.scale).astype(int)

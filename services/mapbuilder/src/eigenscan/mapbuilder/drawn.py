@@ -23,11 +23,12 @@ def divide_as_drawn(grid: GridMap, drawn: Sequence[GivenRegion], division: Divis
     """
     block = max(1, round(division.raster / grid.resolution))
     free = _any_in_block(grid.cells == FREE, block)
-    masks = [_mask(region, grid, block, free.shape) & free for region in drawn]
+    # cells rather than masks, each as large as the map
+    cells_of = [np.flatnonzero(_mask(region, grid, block, free.shape) & free) for region in drawn]
     core = np.zeros(free.shape, dtype=np.int32)
-    for number in sorted(range(len(masks)), key=lambda n: -int(masks[n].sum())):
-        core[masks[number]] = number + 1
-    left = np.bincount(core.ravel(), minlength=len(masks) + 1)[1:]
+    for number in sorted(range(len(cells_of)), key=lambda n: -len(cells_of[n])):
+        core.flat[cells_of[number]] = number + 1
+    left = np.bincount(core.ravel(), minlength=len(cells_of) + 1)[1:]
     for region, cells in zip(drawn, left, strict=True):
         if not cells:
             raise RegionsError(

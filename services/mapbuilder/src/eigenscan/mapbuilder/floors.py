@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 from eigenscan.eigenspace.floors import Floor
-from eigenscan.geometry.gridmap import UNKNOWN, GridMap, MapError
+from eigenscan.geometry.gridmap import MOST_CELLS, UNKNOWN, GridMap, MapError
 from eigenscan.geometry.pose import compose, inverse
+from eigenscan.mapbuilder.geojson import is_name
 from eigenscan.mapbuilder.site import Layout
 
 GAP = 10.0
@@ -19,14 +20,18 @@ GAP = 10.0
 def stack(maps: Sequence[tuple[str, GridMap]]) -> tuple[GridMap, tuple[Floor, ...]]:
     """One map of several floors by their names, and where each is. The first keeps its place.
 
-    Raises MapError where floors have the same name, a name that no region can have, or cells of unlike size.
+    Raises MapError where floors have the same name, a name that no region can have, cells of unlike size, or
+    too many of them.
     """
     (_, first), resolution = maps[0], maps[0][1].resolution
     for name, count in Counter(name for name, _ in maps).items():
         if count > 1:
             raise MapError(f"{name}: two floors have this name: rename a file")
-        if set(name) & set("/*$?#\\ ") or name.startswith((".", "@")):
-            raise MapError(f"{name}: cannot be a floor's name: rename the file, without / * $ ? # or spaces")
+        if not is_name(name):
+            raise MapError(
+                f"{name}: cannot be a floor's name: rename the file, without / \\ * $ ? # @ or spaces, "
+                "and with 64 letters at most"
+            )
     for name, grid in maps:
         if grid.resolution != resolution:
             raise MapError(
@@ -35,11 +40,16 @@ def stack(maps: Sequence[tuple[str, GridMap]]) -> tuple[GridMap, tuple[Floor, ..
             )
     gap = round(GAP / resolution)
     tops = np.cumsum([0, *(grid.cells.shape[0] + gap for _, grid in maps)])
-    width = max(grid.cells.shape[1] for _, grid in maps)
-    cells = np.full((int(tops[-1]) - gap, width), UNKNOWN, dtype=np.uint8)
+    width, height = max(grid.cells.shape[1] for _, grid in maps), int(tops[-1]) - gap
+    if width * height > MOST_CELLS:
+        raise MapError(
+            f"{', '.join(name for name, _ in maps)}: {width} x {height} cells together, {MOST_CELLS} at "
+            "most: save the maps with coarser cells, or make two sites of them"
+        )
+    cells = np.full((height, width), UNKNOWN, dtype=np.uint8)
     for (_, grid), top in zip(maps, tops, strict=False):
-        height, own = grid.cells.shape
-        cells[top : top + height, :own] = grid.cells
+        rows, columns = grid.cells.shape
+        cells[top : top + rows, :columns] = grid.cells
     whole = GridMap(cells, resolution, first.origin)
     return whole, tuple(_floor(whole, *each, int(top)) for each, top in zip(maps, tops, strict=False))
 

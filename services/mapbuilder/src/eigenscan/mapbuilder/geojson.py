@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 from eigenscan.geometry.pose import Array
+from eigenscan.schemas.channels import is_chunk
 
-_MOST_NAME = 64
+_MOST_NAME, _MOST_NAME_BYTES = 64, 200
+"""Letters, and bytes: a file's name has 255 at most, with a floor's region number and its ending."""
 
 
 class RegionsError(ValueError):
@@ -34,6 +36,12 @@ class GivenRegion:
 
     name: str
     polygons: tuple[Polygon, ...]
+
+
+def is_name(text: str) -> bool:
+    """Whether a region can have this name: as one chunk of a key, and as the name of its file."""
+    fits = len(text) <= _MOST_NAME and text.isprintable() and len(text.encode()) <= _MOST_NAME_BYTES
+    return fits and is_chunk(text) and "\\" not in text and not text.startswith(".")
 
 
 def read_regions(path: Path) -> tuple[GivenRegion, ...]:
@@ -62,10 +70,11 @@ def _region(where: str, feature: Any, number: int) -> GivenRegion:
     geometry = feature.get("geometry") if isinstance(feature, dict) else None
     properties = (feature.get("properties") or {}) if isinstance(feature, dict) else {}
     name = properties.get("name", f"r{number:02}") if isinstance(properties, dict) else None
-    if not isinstance(name, str) or not name or len(name) > _MOST_NAME or set(name) & set("/*$?#\\ "):
-        raise RegionsError(f"{where}: properties.name = {name!r}: give a word without / * $ ? #")
-    if name.startswith((".", "@")):
-        raise RegionsError(f"{where}: properties.name = {name!r}: begin it with a letter or a digit")
+    if not isinstance(name, str) or not is_name(name):
+        raise RegionsError(
+            f"{where}: properties.name = {name!r}: give a word of {_MOST_NAME} letters at most, without "
+            "/ \\ * $ ? # @ or control characters; begin it with a letter or a digit"
+        )
     kind = geometry.get("type") if isinstance(geometry, dict) else None
     if kind not in ("Polygon", "MultiPolygon") or not isinstance(geometry, dict):
         raise RegionsError(f"{where} ({name}): geometry.type = {kind!r}: give a Polygon or a MultiPolygon")

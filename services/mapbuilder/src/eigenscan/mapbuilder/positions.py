@@ -13,6 +13,9 @@ from scipy.ndimage import label
 SMALLEST_SPACE_M2 = 0.5
 """Free space cut off from the rest and smaller than this is a gap between walls, not a place."""
 
+AT_ONCE = 1_000_000
+"""Grid points that are looked up at a time: each takes some hundred bytes."""
+
 
 @dataclass(frozen=True)
 class Positions:
@@ -59,10 +62,13 @@ def free_positions(grid: GridMap, spacing: float, clearance: float) -> Positions
     corners = grid.to_map(np.array([[0, 0], [width, 0], [0, height], [width, height]]))
     low = np.floor(corners.min(axis=0) / spacing).astype(np.int64)
     high = np.ceil(corners.max(axis=0) / spacing).astype(np.int64)
-    x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
-    index = np.column_stack([x.ravel(), y.ravel()])
-    inside = stands(grid, standable(grid, clearance), index * spacing)
-    return Positions(index[inside].astype(np.int32), np.zeros(2), spacing)
+    place, found = standable(grid, clearance), [np.empty((0, 2), dtype=np.int32)]
+    columns, rows = (np.arange(low[k], high[k] + 1) for k in range(2))
+    for block in np.array_split(rows, -(-len(columns) * len(rows) // AT_ONCE)):
+        x, y = np.meshgrid(columns, block)
+        index = np.column_stack([x.ravel(), y.ravel()])
+        found.append(index[stands(grid, place, index * spacing)].astype(np.int32))
+    return Positions(np.concatenate(found), np.zeros(2), spacing)
 
 
 def stands(grid: GridMap, place: NDArray[np.bool_], points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from eigenscan.geometry.distance_tiles import distance_tiles
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.geometry.surfaces import Surfaces
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 IN_SIGHT_M = 20.0
 """Walls farther away, m, do not count as in sight."""
@@ -65,5 +65,6 @@ def _is_of_strips(grid: GridMap) -> bool:
     free = grid.cells == FREE
     if not free.any() or np.count_nonzero(grid.cells == OCCUPIED) < np.count_nonzero(free):
         return False
-    from_walls = distance_transform_edt(free)[free] * grid.resolution
-    return bool(np.quantile(from_walls, 0.9) < STRIP_M / 2)
+    half = STRIP_M / 2 / grid.resolution
+    near = sum(np.count_nonzero(free[part] & (away < half)) for part, away in distance_tiles(free, half))
+    return bool(near > 0.9 * np.count_nonzero(free))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
 
+from eigenscan.eigenspace.model import ModelError
 from eigenscan.eigenspace.pieces import Piece, Pieces
 from eigenscan.eigenspace.region_file import pack_region
 from eigenscan.geometry.gridmap import GridMap
@@ -42,7 +43,8 @@ def build_pieces(
 ) -> tuple[Mapping[str, Piece], int]:
     """All pieces of the site by their regions' names, and how many of them existed before.
 
-    They equal those of build_site, with any engine; the default is this process's threads.
+    They equal those of build_site, with any engine; the default is this process's threads. Raises ModelError
+    where the engine ends without some of them.
     """
     progress("regions", 0.0)
     version = grid.version
@@ -57,6 +59,8 @@ def build_pieces(
             for area, content in zip(waiting[number], contents, strict=True):
                 ready[area.name] = pieces.keep(keys[area.name], content)
             progress("regions", len(ready) / len(keys))
+    if lost := sorted(keys.keys() - ready.keys()):
+        raise ModelError(f"{pieces.folder}: regions {', '.join(lost)[:80]} were not built: run it again")
     return ready, found
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from eigenscan.eigenspace.folder import SiteModel
-from eigenscan.eigenspace.model import ModelError, RegionModel
+from eigenscan.eigenspace.model import MOST_BYTES, ModelError, RegionModel
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.geometry.surfaces import Surfaces
@@ -56,7 +56,7 @@ class Layout:
 def lay_out(grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion] = ()) -> Layout:
     """Positions and regions of a map's surfaces; the regions as found, or as `drawn`.
 
-    Raises ModelError if no position is free, RegionsError if a drawn region holds none.
+    Raises ModelError if no position is free or a region is too large, RegionsError if a drawn one holds none.
     """
     within = math.nan
     grid = Surfaces.of(grid).grid
@@ -70,16 +70,26 @@ def lay_out(grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion] = ()) -> Lay
             "check the map's thresholds and resolution, or ask for a finer spacing"
         )
     regions = divide_as_drawn(grid, drawn, plan.division) if drawn else divide(grid, plan.division)
-    inhabited = [n for n, inside in enumerate(regions.members(positions.points)) if len(inside)]
+    members = regions.members(positions.points)
+    inhabited = [n for n, inside in enumerate(members) if len(inside)]
     empty = next((n for n in range(len(drawn)) if n not in inhabited), None)
     if empty is not None:
         raise RegionsError(
             f"region {drawn[empty].name!r} holds no position {plan.clearance} m from the walls: "
             "draw it larger, or ask for a finer spacing"
         )
+    if not inhabited:
+        raise ModelError("no free position lies in a region: the map's free space is too narrow for one")
     digits = max(2, len(str(len(inhabited))))
     found = {n: f"r{k:0{digits}}" for k, n in enumerate(inhabited, 1)}
-    return Layout(positions, regions, {n: region.name for n, region in enumerate(drawn)} or found, within)
+    names = {n: region.name for n, region in enumerate(drawn)} or found
+    for n, name in names.items():
+        if 2 * len(members[n]) * plan.turn > MOST_BYTES:
+            raise ModelError(
+                f"region {name!r} has {len(members[n])} positions of {plan.turn} beams, over {MOST_BYTES} "
+                "bytes: ask for a coarser spacing or step, or draw smaller regions"
+            )
+    return Layout(positions, regions, names, within)
 
 
 def build_site(

@@ -55,7 +55,12 @@ class Spaces:
         self.counts: Counter[str] = Counter()
 
     def renew(self, site: SiteModel) -> Iterator[Envelope]:
-        """Spaces of models that came into use, for the kinds that are kept with them or known from before."""
+        """Spaces of models that came into use, for the kinds that are kept with them or known from before.
+
+        Kinds of other eigenspaces than the models', which no projector searches, are forgotten.
+        """
+        self._kinds = {kind: made for kind, made in self._kinds.items() if self._is_answered(site, kind)}
+        self._asked_by = {kind: robot for kind, robot in self._asked_by.items() if kind in self._kinds}
         if self._store is not None:
             for analysis, made in self._store.load_spaces().items():
                 if self._is_answered(site, analysis):

@@ -28,6 +28,7 @@ from eigenscan.eigenspace.versions import (
 )
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.mapbuilder.keeping.evidence import Evidence
+from eigenscan.schemas.model_pb2 import ModelSet
 
 _BYTES_A_CELL = 64
 """Most bytes of evidence for a cell."""
@@ -45,7 +46,7 @@ class Store:
         self.folder = folder
         self._evidence = folder.with_name(folder.name + ".evidence.npz")
         self._read: tuple[int, int] | None = None
-        self._version = ""
+        self._set: ModelSet | None = None
         self._counts: Counter[str] = Counter()
 
     @property
@@ -63,15 +64,15 @@ class Store:
         except OSError as error:
             if self._read == GONE:
                 return None
-            self._read, self._version = GONE, ""  # where it comes back as it was, it is news
+            self._read, self._set = GONE, None  # where it comes back as it was, it is news
             raise ModelError(f"{self.folder / MANIFEST}: cannot be read: {error.strerror}") from error
         state = found.st_ino, found.st_mtime_ns
         if state == self._read:
             return None
-        before, self._read, self._version = self._version, state, ""
+        before, self._read, self._set = self._set, state, None
         site = read_models(self.folder)
-        self._version = site.to_message().version
-        return None if self._version == before else site
+        self._set = site.to_message()  # all of it: the floors' own frames are no part of the version
+        return None if self._set == before else site
 
     @property
     def counts(self) -> Counter[str]:

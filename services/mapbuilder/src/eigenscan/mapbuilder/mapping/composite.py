@@ -138,7 +138,7 @@ def composite(
     pairs.sort(key=lambda pair: -pair[2].net)
     parts = _Parts(closer.submaps, pairs)
     joined = parts.join() if frames else []
-    if len(joined) < min(len(sweeps), 3):
+    if len(joined) < max(1, min(len(sweeps), 3)):
         few = "three" if len(sweeps) > 2 else "two"
         raise MappingError(
             f"no {few} of {len(sweeps)} scans fit in one way only: they need to overlap, and more of them may"

@@ -30,18 +30,20 @@ def visit_edges(
 ) -> list[Edge]:
     """Edges between keyframes (K) at `poses` (K, 3) that saw the same walls on different visits."""
     places = poses[:, :2]
-    near: Any = KDTree(places).query_ball_point(places, NEAR, return_sorted=True)
+    tree: Any = KDTree(places)
     local: dict[int, Cloud] = {}
     edges = []
-    for k, others in enumerate(near):
-        for other in _met(np.array([n for n in others if n <= k - ANOTHER], dtype=np.int64), poses, k):
+    for k, place in enumerate(places):
+        # one by one: all pairs of a drive of hours in one room would fill the memory
+        others = np.array(tree.query_ball_point(place, NEAR, return_sorted=True), dtype=np.int64)
+        for other in _met(others[others <= k - ANOTHER], poses, k):
             if other not in local:
                 local[other] = _around(keyframes, other)
             start = between(poses[other], poses[k])
             found = align(local[other], keyframes[k].cloud, start, reaches=FINE)
             if found.share >= LEAST:
                 edges.append(Edge(other, k, found.pose, found.covariance))
-        progress((k + 1) / len(near))
+        progress((k + 1) / len(places))
     return edges
 
 
