@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from eigenscan.geometry.circle import wrap
+from eigenscan.geometry.pose import FARTHEST_M
 from eigenscan.tracker import branching
 from eigenscan.tracker.association import Pairs, within_gate
 from eigenscan.tracker.belief import CARRIED_SHARE, MISSES, Belief, Elsewhere, emerges, missed
@@ -36,7 +37,6 @@ from eigenscan.tracker.evidence import (
     TOGETHER,
 )
 from eigenscan.tracker.observation import (
-    FARTHEST,
     GOOD,
     LOG_LIKELIHOOD_LIMIT,
     SIGMA_LIMITS,
@@ -63,7 +63,7 @@ def checked(
     rows: Array, trust: float, poorer: float, spacing: float, step: float
 ) -> tuple[Array, Array, Array, int]:
     """Poses, covariances and log-likelihoods of the rows (n, 10) that are poses; how many were replaced."""
-    finite = np.isfinite(rows[:, :4]).all(axis=1) & (np.abs(rows[:, :2]) < FARTHEST).all(axis=1)
+    finite = np.isfinite(rows[:, :4]).all(axis=1) & (np.abs(rows[:, :2]) < FARTHEST_M).all(axis=1)
     rows = rows[finite]
     covariances = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
     likelihoods = trust * rows[:, 3].clip(-LOG_LIKELIHOOD_LIMIT, LOG_LIKELIHOOD_LIMIT)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from eigenscan.geometry.gridmap import FARTHEST_M
-from eigenscan.geometry.pose import Array, between, from_message, to_message
+from eigenscan.geometry.pose import FARTHEST_M, Array, between, from_message, to_message
 from eigenscan.schemas.model_pb2 import ModelSet
 from numpy.typing import ArrayLike
 

@@ -12,7 +12,8 @@ import numpy as np
 from eigenscan.eigenspace.analysis import ANALYSIS_TURN, Analysis, RegionSpace, region_space, searched
 from eigenscan.eigenspace.panorama import resample
 from eigenscan.eigenspace.space_message import space_from_message, space_to_message
-from eigenscan.geometry.gridmap import FARTHEST_M, FINEST_M
+from eigenscan.geometry.gridmap import FINEST_M
+from eigenscan.geometry.pose import FARTHEST_M
 from eigenscan.schemas import model_pb2
 from numpy.typing import NDArray
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from eigenscan.geometry.pose import FARTHEST_M
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.certificates import fault_in
 from eigenscan.runtime.errors import FailedError
@@ -48,9 +49,6 @@ FORGOTTEN_S = 24 * 3600.0
 
 MOST_SETTINGS = 20_000
 """Longest settings of a service, in characters: ten times our longest."""
-
-FARTHEST_M = 1e7
-"""m from the map frame's origin, at most: as far as maps may lie from it."""
 
 TWICE_S = 6.0
 """Two falls of a service's counters within this time, s, are none of a restart, which takes longer."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from eigenscan.geometry.circle import TURN
-from eigenscan.geometry.pose import from_pose3, inverse, to_pose3, transform
+from eigenscan.geometry.pose import FARTHEST_M, from_pose3, inverse, to_pose3, transform
 from eigenscan.schemas.whole import whole
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
@@ -27,8 +27,6 @@ COARSEST_M = 1.0
 """m a cell, at most: in coarser ones there are no rooms; mostly a slip of the decimal point."""
 FINEST_M = 0.001
 """Least cell size, m: no lidar is finer, and endless cells would fill the memory."""
-FARTHEST_M = 1e7
-"""m from the map frame's origin, at most: the farthest that grid coordinates of the Earth (UTM) reach."""
 _MOST_TURNED = 2.0 * TURN
 """rad, of a map's yaw: a larger one is rather in degrees."""
 MOST_CELLS = 400_000_000

@@ -14,6 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+FARTHEST_M = 1e7
+"""m from a frame's origin, at most: the farthest that grid coordinates of the Earth (UTM) reach. Beyond it a
+number is an overflow, not a place."""
+
 
 def compose(a: ArrayLike, b: ArrayLike) -> Array:
     """Pose `b`, given in the frame of `a`, in the frame that `a` is given in; shapes broadcast."""

@@ -8,8 +8,8 @@ from math import ceil
 from pathlib import Path
 
 import numpy as np
-from eigenscan.geometry.gridmap import FARTHEST_M, FREE, OCCUPIED, UNKNOWN, GridMap, MapError
-from eigenscan.geometry.pose import Array
+from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, MapError
+from eigenscan.geometry.pose import FARTHEST_M, Array
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.ndimage import distance_transform_edt, label

@@ -30,7 +30,7 @@ over 0.1.
 FITTING_M, FITTING_RAD = 0.3, 0.4
 """The same for two scans that do not fit each other: farther apart, they need not."""
 UNKNOWN_S = 0.05
-"""Of an interval that odometry does not cover, above which the interval is not compared; half at most."""
+"""Of an interval that odometry does not cover, above which it is not compared, and gives no velocity."""
 COARSE_NS = 700_000_000
 """Between messages of odometry farther apart than this a robot may stop or start unseen, by a(t/2)^2 = 12 cm
 at 1 m/s^2: far more than right motions differ by. Then nothing is compared.

@@ -15,7 +15,7 @@ from math import degrees, log, radians
 
 import numpy as np
 from eigenscan.tracker.calibration import TURNED as TURNED_BY
-from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD
+from eigenscan.tracker.evidence import NEAR_M, NEAR_RAD, SLIP_M, SLIP_RAD, SLIP_SHARE
 from eigenscan.tracker.mount import Mount
 from eigenscan.tracker.odometry import Motion, OdometryTrail
 from eigenscan.tracker.past import PastOdometry, PastScans
@@ -39,8 +39,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-SLIP, SLIP_SHARE = 0.1, 1.0
-"""m and rad, and share of the motion, by which wheels that slip mislead: as in `evidence`. Less sideways."""
 SLIPS, GRIPS = 0.01, 0.4
 """Chances, an interval, that wheels begin to slip and that they cease to."""
 ALIKE_BEGINS, ALIKE_ENDS = 0.1, 0.03
@@ -424,11 +422,11 @@ def _log_likelihoods(
     # p(scans) p(odometry | scans before) / p(odometry): where odometry pauses, any pause of scans fits.
     # That odometry is noisier than scans makes it no likelier
     early = min(0.0, anyhow - unpredicted((x, y, turn), spread, turn_variance))
-    along, aside = SLIP + SLIP_SHARE * way, SIDEWAYS + SIGMA_SHARE * way
+    along, aside = SLIP_M + SLIP_SHARE * way, SIDEWAYS + SIGMA_SHARE * way
     slid = spread[0] + along**2, spread[1], spread[2] + aside**2
     slipped = log_gaussian(
         scans[0] - x, scans[1] - y, scans[2] - turn,
-        slid, turn_variance, 0.0, SLIP + SLIP_SHARE * turned,
+        slid, turn_variance, 0.0, SLIP_RAD + SLIP_SHARE * turned,
     )  # fmt: skip
     if follows:  # any other motion of theirs is the robot's; that of none rather is a frozen lidar's
         standing = log_gaussian(

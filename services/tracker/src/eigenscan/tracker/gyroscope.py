@@ -10,7 +10,7 @@ from bisect import bisect_left
 from collections import Counter, deque
 from math import cos, hypot, isfinite, sin
 
-from eigenscan.tracker.odometry import FARTHEST
+from eigenscan.geometry.pose import FARTHEST_M
 from eigenscan.tracker.planar import Pose
 from eigenscan.tracker.velocity_gate import JUMP_SLACK_RAD
 
@@ -49,7 +49,7 @@ class Gyroscope:
 
     def receive(self, since: int, stamp: int, heading: float) -> None:
         """Takes a heading, rad, of `stamp`; `since`: when its sum began; both ns."""
-        if not (isfinite(heading) and abs(heading) < FARTHEST):
+        if not (isfinite(heading) and abs(heading) < FARTHEST_M):
             self._counts["heading_not_finite"] += 1
             return
         self._counts["heading_received"] += 1

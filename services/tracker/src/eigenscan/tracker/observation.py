@@ -10,6 +10,7 @@ from operator import attrgetter
 
 import numpy as np
 from eigenscan.geometry.circle import TURN
+from eigenscan.geometry.pose import FARTHEST_M
 from eigenscan.geometry.surfaces import POINT_SIGMA, THICKEST_M
 from eigenscan.geometry.symmetric import MATRICES, put
 from eigenscan.schemas.envelope import nanoseconds
@@ -24,8 +25,6 @@ Array = NDArray[np.float64]
 
 LOG_LIKELIHOOD_LIMIT = 300.0
 """Evidence beyond this is an overflow of somebody's arithmetic, not knowledge."""
-FARTHEST = 1e7
-"""m from the map's origin: beyond it a number is an overflow, not a place."""
 SIGMA_LIMITS = np.array([[0.005, 10.0], [0.005, 10.0], [0.002, np.pi]])
 """m, m, rad: no scan fixes a pose better than the lower; the upper means nothing is known."""
 
@@ -204,7 +203,8 @@ def checked(
     kept = np.zeros(len(rows), dtype=np.bool_)
     for row in range(len(rows)):
         x, y, theta, likelihood = rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3]
-        kept[row] = abs(x) < FARTHEST and abs(y) < FARTHEST and np.isfinite(theta) and np.isfinite(likelihood)
+        is_place = abs(x) < FARTHEST_M and abs(y) < FARTHEST_M
+        kept[row] = is_place and np.isfinite(theta) and np.isfinite(likelihood)
     rows = rows[kept]
     poses, covariances = rows[:, :3].copy(), np.empty((len(rows), 3, 3))
     likelihoods = trust * np.minimum(np.maximum(rows[:, 3], -LOG_LIKELIHOOD_LIMIT), LOG_LIKELIHOOD_LIMIT)

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from math import hypot
 from typing import NamedTuple
 
+from eigenscan.geometry.pose import FARTHEST_M
 from eigenscan.tracker.planar import IDENTITY, Pose, between, compose, scaled
 from eigenscan.tracker.velocity_gate import Reading, VelocityGate
 
@@ -23,8 +24,6 @@ KEPT_AT_LEAST, KEPT_AT_MOST = 2, 20_000
 """Samples, whatever their age."""
 ASKED_AT_MOST = 256
 """Poses that are looked up between two messages of odometry, and kept until the next one."""
-FARTHEST = 1e7
-"""m from the odom frame's origin: beyond it a number is an overflow, not a place."""
 LONGEST_NS = 100_000_000
 """Between odometry messages that give a velocity: at 2 m/s2 it leads 1 cm astray in as long again."""
 RESTART_AFTER = 5
@@ -112,8 +111,7 @@ class OdometryTrail:
         `taken_as_slip` and `taken_as_jump` are kept too: the first with doubt, the second as a new
         start of the odom frame, its increment unknown. `restarted`: the clock was set back.
         """
-        x, y, heading = pose
-        if not (abs(x) < FARTHEST and abs(y) < FARTHEST and abs(heading) < FARTHEST):  # also not a number
+        if not all(abs(number) < FARTHEST_M for number in pose):  # also not a number
             return "odometry_not_finite"
         self._asked.clear()
         if not self._samples:

@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from eigenscan.geometry.pose import covariance_from_message, from_message
+from eigenscan.geometry.pose import FARTHEST_M, covariance_from_message, from_message
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.tracking_pb2 import Relocation
 from eigenscan.tracker.belief import Belief
 from eigenscan.tracker.covariance import is_covariance
-from eigenscan.tracker.observation import FARTHEST, Observation, limit_sigma
+from eigenscan.tracker.observation import Observation, limit_sigma
 from eigenscan.tracker.odometry import Motion
 from eigenscan.tracker.prediction import predict
 from eigenscan.tracker.settings import TrackerSettings
@@ -49,7 +49,7 @@ def hint_of(message: Relocation) -> Hint | None:
     if not message.HasField("pose"):
         return None
     pose = from_message(message.pose)
-    if not np.isfinite(pose).all() or (np.abs(pose[:2]) > FARTHEST).any():
+    if not np.isfinite(pose).all() or (np.abs(pose[:2]) > FARTHEST_M).any():
         raise ValueError("the pose is none")
     covariance = covariance_from_message(message.covariance)
     if not is_covariance(covariance[None])[0]:

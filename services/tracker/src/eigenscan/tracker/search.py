@@ -10,6 +10,7 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from eigenscan.tracker.agreement import UNKNOWN_S
 from eigenscan.tracker.continuity import are_neighbours
 from eigenscan.tracker.evidence import likelihood_at
 from eigenscan.tracker.observation import Observation
@@ -36,8 +37,6 @@ EVERY_NS = 1_000_000_000
 """At least so often the whole map is searched: standing still, too, a robot may be carried off."""
 SHORTEST_NS, LONGEST_NS = 100_000_000, 1_000_000_000
 """Time over which a velocity is taken: over less the jitter of stamps shows, over more it is out of date."""
-UNKNOWN_S = 0.05
-"""Of the motion over that time, above which it gives no velocity."""
 KEPT = 16
 """Stamps of lists: as many as may come within SHORTEST_NS."""
 PLACES = 16

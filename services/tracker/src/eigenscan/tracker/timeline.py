@@ -8,13 +8,12 @@ from collections.abc import Callable
 from enum import Enum
 
 from eigenscan.tracker.observation import Observation
+from eigenscan.tracker.odometry import RESTART_AFTER
 
 FUTURE_NS = 1_000_000_000
 """A stamp this far ahead of everything received is not believed until another one confirms it."""
 CONFIRMED_NS = 60_000_000_000
 """Another stamp of the same source confirms it within this: scans may be sparse, a minute apart."""
-RESTART_AFTER = 5
-"""So many stamps from the past in a row, none newer in between, mean that the clock was set back."""
 CAUGHT_UP_AFTER = 2
 """The same, where the next one is newer than all of its source: one alone may have been overtaken."""
 RECENT = 64

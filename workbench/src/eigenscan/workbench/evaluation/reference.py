@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from eigenscan.geometry.circle import difference, wrap
-from eigenscan.geometry.gridmap import FARTHEST_M
+from eigenscan.geometry.pose import FARTHEST_M
 from eigenscan.schemas.envelope import LATEST_S
 from numpy.typing import ArrayLike, NDArray
 
