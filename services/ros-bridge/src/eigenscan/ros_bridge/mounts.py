@@ -46,7 +46,7 @@ class Mounts:
         self._tree.receive(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
 
     def carries(self, frame: str) -> bool:
-        """Whether a frame that odometry moves has the robot on it: the base, or any frame if none is given."""
+        """Whether a frame that odometry moves has the robot on it: the base; any frame if none is given."""
         if self._given and self._base is not None:
             return frame == self._base or self._tree.between(frame, self._base) is not None
         return self._tree.has_children(frame)
