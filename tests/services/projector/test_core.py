@@ -270,6 +270,7 @@ def test_ranges_that_no_lidar_has_count_as_no_return(core: ProjectorCore, far: f
         {"angle_increment": float("nan")},
         {"angle_increment": -0.01},
         {"angle_min": float("inf")},
+        {"angle_min": 1e300},
         {"range_max": float("nan")},
         {"range_max": -1.0},
     ],
