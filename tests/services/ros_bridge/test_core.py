@@ -286,8 +286,8 @@ def test_another_child_of_the_odometry_frame_is_not_the_robot(first: str, settin
     other = "dock" if first == "base_footprint" else "base_footprint"
     listen(bridge, "%tf", transform("odom", first, poses[first], (0, 0, 0, 1)))
     for child in 2 * (other, first):
-        told = listen(bridge, "%tf", transform("odom", child, poses[child], (0, 0, 0, 1)))
-        frames = [each.open(Odometry).body_frame_id for each in told]
+        published = listen(bridge, "%tf", transform("odom", child, poses[child], (0, 0, 0, 1)))
+        frames = [each.open(Odometry).body_frame_id for each in published]
         assert frames == (["base_footprint"] if child == "base_footprint" else [])
         mount = listen(bridge, "%scan", scan())[0].open(RawScan).mount
         assert mount.x == pytest.approx(0.2 if settings else 0.7)
