@@ -9,8 +9,8 @@ from eigenscan.cli.launch.services import Pipeline
 from eigenscan.cli.run import run
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.ros_bridge import robot_map
-from eigenscan.ros_bridge.endpoints import qualified
 from eigenscan.ros_bridge.options import RosBridgeOptions
+from eigenscan.ros_bridge.settings import qualified
 from eigenscan.runtime.settings import load
 
 

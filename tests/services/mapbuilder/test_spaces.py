@@ -62,6 +62,29 @@ def test_each_region_is_answered_once_for_a_kind(site: SiteModel) -> None:
     assert core.condition().counters["lidar_kinds"] == 2
 
 
+def test_lidars_of_nearly_one_reach_have_a_key_and_a_file_each(site: SiteModel, tmp_path: Path) -> None:
+    """5.6 m in single and in double precision: the second lidar's eigenspaces replaced the first one's."""
+    single, third = float(np.float32(5.6)), float(np.nextafter(np.float32(5.6), np.float32(6.0)))
+    core, declared = started(site), site.regions[0].space.analysis
+    kinds = [
+        replace(declared, embedding=replace(declared.embedding, cap=cap)) for cap in (single, 5.6, third)
+    ]
+    keys = [
+        {envelope.key for envelope in core.handle(ask(kind.beams, kind.embedding.cap, robot=f"r{number}"))}
+        for number, kind in enumerate(kinds)
+    ]
+    assert [len(each) for each in keys] == [len(site.regions)] * 3
+    assert len(set.union(*keys)) == 3 * len(site.regions)
+    beams = declared.beams
+    assert kinds[0].name == f"ring5.6-{beams}"  # as ever, for a usual driver
+    assert replace(declared, embedding=replace(declared.embedding, cap=12.0)).name == f"ring12-{beams}"
+    write_models(site, tmp_path)
+    store = Store(tmp_path)
+    for kind in kinds:
+        store.save_spaces(kind, {model.version: model.derive(kind)[0] for model in site.regions})
+    assert set(store.load_spaces()) == set(kinds)
+
+
 def test_the_declared_lidar_and_nonsense_are_not_answered(site: SiteModel) -> None:
     core = started(site)
     assert published(core, ask(91)) == {}

@@ -13,7 +13,7 @@ from eigenscan.geometry.distance_field import DistanceField
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from eigenscan.geometry.pose import compose, to_message
 from eigenscan.geometry.raycast import RayCaster
-from eigenscan.projector.advice import MOST_PLACES, MOST_TRACKS, Advisor, Places, best_move
+from eigenscan.projector.advice import MOST_LIDARS, MOST_PLACES, MOST_TRACKS, Advisor, Places, best_move
 from eigenscan.projector.distinction import (
     Lidar,
     expected_share,
@@ -248,6 +248,15 @@ def test_no_advice_without_two_places_a_lidar_or_the_maps_frame() -> None:
         (advisor(), Tracks(timestamp=stamp(S), frame_id="map", state=STATE_AMBIGUOUS)),
     ):
         assert made.receive("r", tracks, site) is None
+
+
+def test_lidars_that_are_gone_make_room_for_others() -> None:
+    """After four names that were used once, a robot was never advised again."""
+    site, made = building(CUPBOARD), advisor()
+    for number in range(MOST_LIDARS):
+        made.see({"robot": "r", "lidar": f"old{number}"}, S, AROUND)
+    made.see({"robot": "r", "lidar": "new"}, 9 * S, AROUND)
+    assert made.receive("r", tracks_of(9 * S, TWO.poses), site) is not None
 
 
 def test_tracks_near_each_other_are_one_place_and_the_faint_ones_none() -> None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from eigenscan.eigenspace.floors import Floor
 from eigenscan.eigenspace.model import model_set
 from eigenscan.geometry.gridmap import to_message
 from eigenscan.geometry.pose import compose
@@ -12,12 +13,12 @@ from eigenscan.projector.channels import LOCALIZE_ASKED
 from eigenscan.projector.core import ProjectorCore
 from eigenscan.projector.publishing import obstacles_message
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, OBSTACLES, SCAN
+from eigenscan.schemas.channels import HYPOTHESES, MAP, MODEL, MODEL_SET, OBSTACLES, SCAN, SPACE
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles
 from eigenscan.schemas.localize_pb2 import LocalizeQuery, LocalizeReply
-from eigenscan.schemas.model_pb2 import ModelSet, RegionModel
+from eigenscan.schemas.model_pb2 import ModelSet, RegionModel, RegionSpace
 from eigenscan.schemas.scan_pb2 import RawScan, Scan
 
 from tests.services.projector.office import (
@@ -269,6 +270,7 @@ def test_ranges_that_no_lidar_has_count_as_no_return(core: ProjectorCore, far: f
         {"angle_increment": float("nan")},
         {"angle_increment": -0.01},
         {"angle_min": float("inf")},
+        {"angle_min": 1e300},
         {"range_max": float("nan")},
         {"range_max": -1.0},
     ],
@@ -368,6 +370,108 @@ def test_a_set_that_is_not_what_its_version_states_is_refused() -> None:
         core.handle(Envelope(MODEL_SET, {"site": "s"}, message))
     assert core.condition().counters["refused_model_set"] == 2
     assert receive(core, scan_at(free_poses(1, 0)[0]))[0].model_version == site().to_message().version
+
+
+def test_a_floors_frame_that_moved_is_taken_although_the_version_is_the_same() -> None:
+    """It was the old one until a restart: the version covers maps and regions only."""
+    outline = np.array([[-100.0, -100.0], [100.0, -100.0], [100.0, 100.0], [-100.0, 100.0]])
+    before, after = (replace(site(), floors=(Floor("1", np.array([x, 0.0, 0.0]), outline),)) for x in (0, 5))
+    assert before.to_message().version == after.to_message().version
+    core, scan = ready(before), scan_at(free_poses(1, 84)[0])
+    query = LocalizeQuery(
+        scan=RawScan(
+            ranges=list(scan.ranges),
+            angle_min=scan.angle_min,
+            angle_increment=scan.angle_increment,
+            range_max=scan.range_max,
+        )
+    )
+
+    def answers() -> tuple[bytes, float]:
+        hypotheses = receive(core, scan)[0].SerializeToString()
+        (answered,) = core.handle(Envelope(LOCALIZE_ASKED, {"query": "1"}, query))
+        first = answered.open(LocalizeReply).candidates[0]
+        return hypotheses, first.pose.x - first.floor_pose.x
+
+    old, shift = answers()
+    assert shift == pytest.approx(0.0)
+    announced = after.to_message()
+    core.handle(Envelope(MODEL_SET, {"site": "s"}, announced))
+    new, shift = answers()
+    assert shift == pytest.approx(5.0)
+    assert new == old
+    # the same again, of another time, is no new one
+    used = core._site
+    announced.timestamp.seconds = 7
+    core.handle(Envelope(MODEL_SET, {"site": "s"}, announced))
+    assert core._site is used
+
+
+def test_health_is_ok_again_once_what_was_refused_is_mended() -> None:
+    """It stayed degraded until another set, although the one in use is what was announced last."""
+    core = ready()
+    torn = to_message(site().grid, "map")
+    torn.data = torn.data[:-5]
+    for refused in (
+        Envelope(MAP, {"site": "s"}, torn),
+        Envelope(MODEL_SET, {"site": "s"}, ModelSet(version="1")),
+        Envelope(
+            SPACE, {"site": "s", "region": "r", "kind": "k"}, RegionSpace(region="r", model_version="1")
+        ),
+    ):
+        core.handle(refused)
+        assert core.condition().status == Health.STATUS_DEGRADED
+        for envelope in envelopes(site()):
+            core.handle(envelope)
+        assert core.condition().status == Health.STATUS_OK
+
+
+def test_a_part_that_is_empty_stays_named_while_the_last_set_is_used() -> None:
+    core = ready(part="2/2")
+    for _ in range(2):
+        for envelope in envelopes(site(of="tower")):
+            core.handle(envelope)
+        assert core.condition().status == Health.STATUS_DEGRADED
+        assert core.condition().detail.startswith("part 2/2: the set has only 1 regions")
+
+
+@pytest.mark.parametrize("first", ["before a set", "beside a set"])
+def test_a_map_waits_for_its_set_while_another_one_comes(first: str) -> None:
+    """Of two mapbuilders, or of one that publishes its map again: the set then lacked its map for good."""
+    core = ready() if first == "beside a set" else ProjectorCore(ProjectorSettings())
+    tower_map, *rest = envelopes(site(of="tower"))
+    core.handle(tower_map)
+    core.handle(envelopes(site())[0])
+    for envelope in rest:
+        core.handle(envelope)
+    assert core.condition().status == Health.STATUS_OK
+    assert (
+        receive(core, scan_at(free_poses(1, 0)[0]))[0].model_version == site(of="tower").to_message().version
+    )
+
+
+def test_maps_without_a_set_are_bounded() -> None:
+    core = ready()
+    for shift in range(1, 6):
+        grid = replace(office(), origin=np.array([float(shift), 0.0, 0.0]))
+        core.handle(Envelope(MAP, {"site": "s"}, to_message(grid, "map")))
+    assert len(core._assembler._grids) == 3
+    assert site().grid.version in core._assembler._grids
+
+
+@pytest.mark.parametrize("area", [0.0, -5.0, np.nan, np.inf, 1e300, 1e4])
+def test_a_set_whose_area_is_none_of_its_map_is_refused(area: float) -> None:
+    """Infinite, each scan raised an error; 0, a pose that was nowhere had a probability of 0.95."""
+    core = ready()
+    *parts, last = envelopes(site(of="tower"))
+    announced = last.open(ModelSet)
+    announced.free_area_m2 = area
+    for envelope in (*parts, last):
+        core.handle(envelope)
+    condition = core.condition()
+    assert condition.status == Health.STATUS_DEGRADED
+    assert condition.detail.startswith("model set: free_area_m2 = ")
+    assert receive(core, scan_at(free_poses(1, 85)[0]))[0].model_version == site().to_message().version
 
 
 def test_a_new_set_takes_over_between_two_scans() -> None:

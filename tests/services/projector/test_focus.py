@@ -106,6 +106,14 @@ def test_a_pose_that_shows_nothing_narrows_nothing(age: int, change: dict[str, o
     assert "scan_focused" not in core.condition().counters
 
 
+def test_a_lidars_first_scan_soon_after_the_epoch_is_searched_for_everywhere() -> None:
+    """Simulated time begins at 0: who was never searched for counted as searched for then: an error."""
+    core, truth = ready(focus=True), free_poses(1, 163)[0]
+    publish(core, pose_at(truth, SETTLED))
+    assert len(receive(core, scan_at(truth, time=2 * SETTLED))[0].hypotheses) > 1
+    assert "scan_focused" not in core.condition().counters
+
+
 def test_a_pose_may_come_before_or_after_the_scan() -> None:
     truth = free_poses(1, 164)[0]
     answers = []

@@ -130,6 +130,17 @@ def test_what_is_known_leaves_out_other_places(core: ProjectorCore) -> None:
         assert {one.region for one in inside.candidates} == {region}
 
 
+def test_a_sensor_far_from_the_base_is_found_where_the_base_is_known(core: ProjectorCore) -> None:
+    """On a long vehicle: regions near its base were searched, and the sensor was in another one."""
+    mount = (7.0, 0.0, 0.0)
+    for sensor in free_poses(8, 22):
+        truth = compose(sensor, inverse(mount))
+        scan = raw(scan_at(sensor, field_of_view=2 * np.pi, mount=mount))
+        query = LocalizeQuery(scan=scan, near=pose_message(truth), radius=0.5, turn=0.5)
+        reply = output(core, query).open(LocalizeReply)
+        assert is_near(reply.candidates[0].pose, truth)
+
+
 def test_a_wrong_prior_is_answered_by_none_of_these(core: ProjectorCore) -> None:
     none = []
     for truth in bases(8, 31):

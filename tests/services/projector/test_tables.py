@@ -1,5 +1,6 @@
 """Regions that are made ready as scans ask for them, and what is kept of them."""
 
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -169,6 +170,33 @@ def test_tables_of_another_model_or_lidar_are_not_taken(tmp_path: Path) -> None:
     assert "tables_taken" not in other.condition().counters
     receive(other, scan_at(free_poses(1, 3)[0], field_of_view=WIDE))
     assert other.condition().counters["tables_kept"] == 2
+
+
+def test_a_folder_that_may_only_be_read_gives_its_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sound tables were counted as damaged, because their time of use could not be written."""
+    folder, array = TableFolder(tmp_path), np.arange(4)
+    folder.save("one", {"a": array})
+
+    def refuse(*_: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    found = folder.load("one", {"a": array})
+    assert found is not None
+    assert (found["a"] == array).all()
+    assert folder.counts == {"tables_kept": 1, "tables_taken": 1}
+
+
+def test_what_a_process_left_that_ended_while_it_saved_is_removed(tmp_path: Path) -> None:
+    """Each such end cost as much disk as the tables are large, for good."""
+    left, at_work = tmp_path / ".left", tmp_path / ".at_work"
+    for path in (left, at_work):
+        path.mkdir()
+    os.utime(left, (0.0, 0.0))
+    TableFolder(tmp_path).save("one", {"a": np.arange(4)})
+    assert {path.name for path in tmp_path.iterdir()} == {".at_work", "one"}
 
 
 def test_a_full_disk_is_counted_and_costs_no_answer(tmp_path: Path) -> None:

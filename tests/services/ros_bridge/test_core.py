@@ -192,6 +192,9 @@ def test_a_lidar_that_lacks_something_is_reported_while_another_one_sends_scans(
     listen(bridge, "%odom", odometry(0, 0, 0))
     listen(bridge, "%tf_static", MOUNT)
     assert bridge.condition().detail == "no scan yet on /front, /rear"
+    listen(bridge, "%front", scan())
+    assert bridge.condition().status == Health.STATUS_WAITING
+    assert bridge.condition().detail == "no scan yet on /rear"
     listen(bridge, "%rear", scan("unknown"))
     for endpoint, frame in 2 * (("%front", "laser"), ("%rear", "unknown")):
         listen(bridge, endpoint, scan(frame))
@@ -270,6 +273,25 @@ def test_odometry_in_tf_of_a_robot_with_names_of_its_own() -> None:
     mount = transform("robot1/base", "robot1/laser", (0.3, 0, 0), (0, 0, 0, 1))
     listen(bridge, "%robot1%tf_static", mount)
     assert len(listen(bridge, "%robot1%scan", scan("robot1/laser"))) == 1
+
+
+@pytest.mark.parametrize("settings", [{}, {"base_frame": "/base_link"}], ids=["by itself", "named"])
+@pytest.mark.parametrize("first", ["base_footprint", "dock"])
+def test_another_child_of_the_odometry_frame_is_not_the_robot(first: str, settings: dict[str, Any]) -> None:
+    """A dock or a marker is published in odom too: its pose was taken for the robot's, by turns."""
+    bridge = core(**settings)
+    listen(bridge, "%tf_static", transform("base_footprint", "base_link", (0.5, 0.0, 0.1), (0, 0, 0, 1)))
+    listen(bridge, "%tf_static", transform("base_link", "laser", (0.2, 0.0, 0.1), (0, 0, 0, 1)))
+    poses = {"base_footprint": (1.0, 0.0, 0.0), "dock": (7.0, 0.0, 0.0)}
+    other = "dock" if first == "base_footprint" else "base_footprint"
+    listen(bridge, "%tf", transform("odom", first, poses[first], (0, 0, 0, 1)))
+    for child in 2 * (other, first):
+        published = listen(bridge, "%tf", transform("odom", child, poses[child], (0, 0, 0, 1)))
+        frames = [each.open(Odometry).body_frame_id for each in published]
+        assert frames == (["base_footprint"] if child == "base_footprint" else [])
+        mount = listen(bridge, "%scan", scan())[0].open(RawScan).mount
+        assert mount.x == pytest.approx(0.2 if settings else 0.7)
+    assert bridge.condition().counters["set_aside_odometry_of_another_frame"] == 2
 
 
 def test_odometry_of_the_topic_only_where_it_is_wanted() -> None:
@@ -470,8 +492,11 @@ def test_a_message_of_another_type_is_no_scan(other: str) -> None:
     assert listen(bridge, "%scan", sound.get(other, odometry(0, 0, 0))) == []
     condition = bridge.condition()
     assert condition.counters["set_aside_not_cdr"] == 1
-    assert "no scan yet on /scan" in condition.detail
+    assert condition.status == Health.STATUS_WAITING
+    named = "/scan: its messages are no sensor_msgs/msg/LaserScan: name a topic of that type"
+    assert condition.detail == named
     assert [each.channel for each in listen(bridge, "%scan", scan())] == [SCAN_RAW]
+    assert bridge.condition().status == Health.STATUS_OK
 
 
 @pytest.mark.parametrize("bad_number", [np.nan, np.inf, -np.inf])
@@ -508,7 +533,9 @@ def test_a_covariance_that_is_none_is_not_stated() -> None:
     [
         ({"robot": "*"}, "one robot"),
         ({"scan": []}, "at least 1"),
-        ({"scan": ["scan", "scan"]}, "each once"),
+        ({"scan": ["scan", "scan"]}, "each topic once; /scan"),
+        ({"scan": ["scan", "/scan"]}, "each topic once; /scan"),
+        ({"scan": ["a/scan"], "points": ["/r1/a/scan"], "namespace": "r1"}, "each topic once; /r1/a/scan"),
         ({"odom": "od om"}, "ROS name"),
         ({"domain": 500}, "232"),
         ({"ros_router": "localhost:7447"}, "match"),

@@ -13,6 +13,7 @@ from eigenscan.ros_bridge.core import RosBridgeCore
 from eigenscan.ros_bridge.gathering import LIDAR, MOST_SENSORS
 from eigenscan.schemas.channels import SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.scan_pb2 import RawScan
 
 from tests.services.ros_bridge.test_cloud import HALF, cloud
@@ -156,7 +157,7 @@ def test_without_odometry_of_its_time_a_scan_is_counted_and_named() -> None:
     assert "no odometry" in made.condition().detail
     drive(made, (0.0, 0.0, 0.0), TIME + 20 * STEP_NS)
     assert len(look(made, "front", [1.0, 1.0, 1.0], TIME + 20 * STEP_NS)) == 1
-    assert made.condition().detail == ""
+    assert made.condition().detail == "no scan yet on /rear/scan"
 
 
 def test_a_scan_that_is_none_is_counted_and_the_next_one_counts() -> None:
@@ -167,6 +168,20 @@ def test_a_scan_that_is_none_is_counted_and_the_next_one_counts() -> None:
     assert listen(made, "%front%scan", cdr.encode(none)) == []
     assert made.condition().counters["set_aside_angles_not_finite"] == 1
     assert len(look(made, "front", [float("nan"), 1.0, 1.0], TIME)) == 1
+
+
+def test_a_lidar_whose_scans_are_none_is_named() -> None:
+    made = bridge(scan=["front/scan"])
+    drive(made, (0.0, 0.0, 0.0), TIME)
+    none = np.zeros(0, dtype=np.float32)
+    limits = -1.0, 1.0, 1.0, 0.0, 0.1, 30.0, 0.05
+    body = cdr.make(cdr.LASER_SCAN, header("front", TIME), *limits, np.ones(3, dtype=np.float32), none)
+    assert listen(made, "%front%scan", cdr.encode(body)) == []
+    condition = made.condition()
+    assert condition.status == Health.STATUS_WAITING
+    assert condition.detail.startswith("/front/scan: range_min, range_max: contradict each other")
+    look(made, "front", [1.0, 2.0, 3.0], TIME + STEP_NS)
+    assert made.condition().status == Health.STATUS_OK
 
 
 def test_it_needs_the_mounts() -> None:

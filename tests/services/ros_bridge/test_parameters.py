@@ -15,11 +15,11 @@ from eigenscan.ros_bridge.service_types import (
     LIST_PARAMETERS,
     SET_PARAMETERS,
 )
-from eigenscan.schemas.channels import HEALTH, RELOCATION, TRANSFORM
+from eigenscan.schemas.channels import HEALTH, POSE, RELOCATION, TRANSFORM
 from eigenscan.schemas.envelope import Envelope, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.loopback import Loopback
-from eigenscan.schemas.tracking_pb2 import Relocation
+from eigenscan.schemas.tracking_pb2 import PoseEstimate, Relocation
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
 from tests.services.ros_bridge.test_core import ask, core, report
@@ -168,6 +168,15 @@ def test_a_known_start_is_reported_once_the_tracker_is_there() -> None:
     assert not at.frame_id  # the site's map
     assert started(bridge) == []
     assert started(core(start_x=1.0)) == []  # as AMCL, which needs set_initial_pose too
+
+
+def test_a_known_start_is_reported_to_a_tracker_of_many_robots() -> None:
+    """Its health names the group; its first pose shows that it is there."""
+    bridge = core(start_known=True, start_x=1.0)
+    assert started(bridge, instance="0") == []
+    pose = Envelope(POSE, {"site": "s", "robot": "r"}, PoseEstimate(timestamp=stamp(10**18)))
+    sent = [each for _ in range(2) for each in Loopback([bridge]).receive(pose)]
+    assert [each.open(Relocation).pose.x for each in sent if each.channel is RELOCATION] == [1.0]
 
 
 def test_a_start_that_is_set_counts_from_the_next_activation() -> None:

@@ -182,13 +182,60 @@ def test_each_reason_for_which_a_scan_is_set_aside_has_words() -> None:
     assert reasons <= WHY.keys()
 
 
-def test_of_one_scan_there_is_no_half() -> None:
+def test_a_lidar_that_is_set_aside_is_named_while_another_one_is_sound() -> None:
+    """Half of all scans were published, and health was OK."""
     ingest = core()
-    list(ingest.handle(received(raw(SECOND, ranges=[0.0] * 4))))
-    expected = (
-        "the only scan set aside (no_valid_range): ranges: none lies between range_min and range_max, in m"
+    for number in range(1, 60):
+        assert len(scans(ingest.handle(received(raw(number * SECOND))))) == 1
+        limits: dict[str, object] = {"range_min": 5.0, "range_max": 1.0}
+        assert not list(ingest.handle(received(raw(number * SECOND, **limits), lidar="rear")))
+    condition = ingest.condition()
+    assert condition.status == Health.STATUS_DEGRADED
+    assert condition.detail == (
+        "lidar r/rear has most of its latest scans set aside (limits_inconsistent): "
+        "range_min, range_max: contradict each other, or are no numbers"
     )
-    assert ingest.condition().detail == expected
+    for number in range(60, 90):
+        list(ingest.handle(received(raw(number * SECOND), lidar="rear")))
+    assert ingest.condition().status == Health.STATUS_OK
+
+
+def test_health_is_of_lidars_that_send(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frozen lidar that was switched off was named for hours."""
+    monkeypatch.setattr(ingest_core, "SILENT", 20)
+    ingest = core()
+    for number in range(1, 31):
+        list(ingest.handle(received(raw(number * SECOND, ranges=raw().ranges), robot="gone")))
+    assert "lidar gone/front frozen" in ingest.condition().detail
+    for number in range(1, 2 * ingest_core.SILENT + 2):
+        list(ingest.handle(received(raw(number * SECOND))))
+    assert ingest.condition().status == Health.STATUS_OK
+
+
+def test_a_scan_without_angles_makes_no_two_lidars_of_one() -> None:
+    ingest = core()
+    for number in range(1, 41):
+        angle_min = math.nan if number % 2 else -1.5
+        published = scans(ingest.handle(received(raw(number * SECOND, angle_min=angle_min))))
+        assert len(published) == (number + 1) % 2
+    assert aside(ingest) == {"angles_not_finite": 20}
+
+
+def test_gaps_and_clock_steps_are_counted_once_each() -> None:
+    """While scans were set aside, each of them was counted as a gap, or as a step of the clock."""
+    ingest, nothing = core(), [math.nan] * 4
+    one(ingest, raw(100 * SECOND))
+    times = [(1000 + number) * SECOND // 10 for number in range(1, 101)]
+    for time in times:
+        list(ingest.handle(received(raw(time, ranges=nothing))))
+    assert ingest.condition().counters.get("stamp_gaps", 0) == 0
+    one(ingest, raw(120 * SECOND))
+    assert ingest.condition().counters["stamp_gaps"] == 1
+    for time in times:
+        list(ingest.handle(received(raw(time, ranges=nothing))))
+    one(ingest, raw(times[-1] + SECOND))
+    assert ingest.condition().counters["stamp_gaps"] == 1
+    assert ingest.condition().counters["clock_steps"] == 1
 
 
 def test_it_reports_when_most_is_set_aside_and_recovers() -> None:
@@ -201,7 +248,7 @@ def test_it_reports_when_most_is_set_aside_and_recovers() -> None:
     condition = ingest.condition()
     assert condition.status == Health.STATUS_DEGRADED
     assert condition.detail.startswith(
-        "over half of the last 50 scans set aside (duplicate_stamp): each scan "
+        "lidar r/front has most of its latest scans set aside (duplicate_stamp): each scan "
     )
     for number in range(21, 50):
         list(ingest.handle(received(raw(number * SECOND))))

@@ -50,6 +50,27 @@ def test_the_motion_between_two_scans_is_found_without_a_guess(
     assert moved.delta == pytest.approx((x, y, turn), abs=0.03)
 
 
+def test_a_first_beam_that_trembles_about_half_a_turn_is_of_one_lidar() -> None:
+    """At 180 and at -180 deg: such scans had nothing in common, as if the robot had been carried off."""
+    rng, start, beams = np.random.default_rng(0), (0.0, 0.5, 0.3), 720
+    before, after = (
+        points_of(
+            room.seen(np.broadcast_to(pose, (beams, 3)), first + STEP * np.arange(beams))
+            + 0.01 * rng.standard_normal(beams),
+            first,
+            STEP,
+            MOUNT,
+            time,
+        )
+        for time, (first, pose) in enumerate(
+            [(-math.pi, start), (math.pi - 1e-4, composed(start, (0.1, 0.0, 0.2)))]
+        )
+    )
+    moved = motion_between(before, after, (0.0, 0.0, 0.0))
+    assert moved.explained > FOLLOWS
+    assert moved.delta == pytest.approx((0.1, 0.0, 0.2), abs=0.03)
+
+
 def test_along_a_hallway_the_covariance_states_that_nothing_is_known() -> None:
     angles = -math.pi + STEP * np.arange(720)
     with np.errstate(divide="ignore"):

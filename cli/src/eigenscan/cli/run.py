@@ -175,9 +175,9 @@ def _take_map(ros2_flags: list[str], path: Path) -> Path:
     `ros2_flags`: all of the bridge.
     """
     from eigenscan.geometry.gridmap import write_map
-    from eigenscan.ros_bridge.endpoints import qualified
     from eigenscan.ros_bridge.options import RosBridgeOptions
     from eigenscan.ros_bridge.robot_map import take_map
+    from eigenscan.ros_bridge.settings import qualified
     from eigenscan.runtime.settings import load
 
     settings = load(RosBridgeOptions, "ros-bridge", ros2_flags)

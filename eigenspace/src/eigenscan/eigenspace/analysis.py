@@ -45,8 +45,13 @@ class Analysis:
 
     @property
     def name(self) -> str:
-        """One chunk of a key and of a file's name, such as `ring12-91`."""
-        return f"{self.embedding.kind}{self.embedding.cap:g}-{self.beams}"
+        """One chunk of a key and of a file's name, such as `ring12-91`; no two analyses of a site share one.
+
+        Six digits name a cap in single precision, as drivers state it; any other one has all digits and a d.
+        """
+        cap = self.embedding.cap
+        text = f"{cap:g}" if float(np.float32(f"{cap:g}")) == cap else f"{cap!r}d"
+        return f"{self.embedding.kind}{text}-{self.beams}"
 
 
 @dataclass(frozen=True)

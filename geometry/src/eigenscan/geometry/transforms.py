@@ -41,6 +41,10 @@ class TransformTree:
             dict.fromkeys(frame for child, (parent, _) in self._parents.items() for frame in (parent, child))
         )
 
+    def has_children(self, frame: str) -> bool:
+        """Whether a transform to `frame` was received."""
+        return any(parent == frame for parent, _ in self._parents.values())
+
     def between(self, base: str, frame: str) -> Matrix | None:
         """Pose (4, 4) of `frame` in `base`; None if they are not connected."""
         from_base, from_frame = self._line(base), self._line(frame)

@@ -222,6 +222,9 @@ class Advisor:
         if not self.advises:
             return
         lidars = self._robots.use(address["robot"], _Robot).lidars
+        if address["lidar"] not in lidars and len(lidars) >= MOST_LIDARS:  # those that are gone make room
+            for name in [one for one, (last, _) in lidars.items() if abs(stamp - last) >= SEEN_NS]:
+                del lidars[name]
         if address["lidar"] in lidars or len(lidars) < MOST_LIDARS:
             lidars[address["lidar"]] = stamp, lidar
 

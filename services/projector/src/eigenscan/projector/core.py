@@ -191,6 +191,8 @@ class ProjectorCore:
                 before.abandon()
                 for sensor in before.sensors:
                     self._begin(site.view(sensor))
+        is_newest = self._site is not None and self._assembler.is_whole(self._site.version)
+        if is_newest and (kind == "model_set" or site is not None):  # else a part of the next set is refused
             self._refused = ""
 
     def _take_space(self, message: model_pb2.RegionSpace) -> None:
@@ -199,8 +201,10 @@ class ProjectorCore:
             own = space_from_message(message.space)
         except ValueError as error:
             self._counts["refused_space"] += 1
-            self._refused = f"region {message.region!r}: space: {error}"
+            self._refused = f"{_space_of(message)}{error}"
             return
+        if self._refused.startswith(_space_of(message)):
+            self._refused = ""
         self._counts["taken_space"] += 1
         new = message.model_version, own.analysis
         self._spaces[new] = own
@@ -330,6 +334,10 @@ class ProjectorCore:
             return WHOLE
         self._counts["scan_focused"] += 1
         return Scope(near, self._focus.ordinary(robot, lidar))
+
+
+def _space_of(message: model_pb2.RegionSpace) -> str:
+    return f"region {message.region!r}: space: "
 
 
 def _lidar_of(address: Mapping[str, str]) -> tuple[str, str]:

@@ -88,8 +88,8 @@ class Focus:
     def reach(self, robot: str, lidar: str, stamp: int, frame_id: str) -> Reach | None:
         """The reach of the robot at `stamp`, ns; None if the whole site must be searched."""
         robot_known = self._robots.use(robot, _Known)
-        last, _ = robot_known.full.get(lidar, (0, 0.0))
-        if not 0 <= stamp - last < FULL_EVERY:
+        full = robot_known.full.get(lidar)
+        if full is None or not 0 <= stamp - full[0] < FULL_EVERY:
             return None
         known = [(at, e) for at, e in robot_known.poses if SETTLED <= stamp - at <= STALE]
         if not known:

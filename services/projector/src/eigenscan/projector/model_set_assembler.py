@@ -15,6 +15,8 @@ from foxglove_schemas_protobuf.Grid_pb2 import Grid
 
 MOST_CELLS = 2**26
 """Cells of the positions' grid around all regions: 2 km x 2 km at 0.25 m. More is hostile."""
+MOST_GRIDS = 2
+"""Maps that are held besides those of the sets in use and announced: their sets may come later."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,10 @@ class WholeSet:
 
 
 class ModelSetAssembler:
-    """Collects maps, models and sets in any order; gives each whole set once."""
+    """Collects maps, models and sets in any order; gives each whole set once.
+
+    A set is given again where what its version does not cover has changed: its frame, area or floors.
+    """
 
     def __init__(self) -> None:
         self._grids: dict[str, GridMap] = {}
@@ -38,7 +43,8 @@ class ModelSetAssembler:
         self._announced: model_pb2.ModelSet | None = None
         self._given: tuple[str, ...] = ()
         """The models of the set that was given last."""
-        self._version = ""
+        self._used: model_pb2.ModelSet | None = None
+        """The set that was given last, without its time."""
         self._wanted: frozenset[str] = frozenset()
         """The models of the sets in use and announced."""
         self._wanted_bytes = 0
@@ -54,7 +60,7 @@ class ModelSetAssembler:
         announced = self._announced
         if announced is None:
             return "no model"
-        if announced.version == self._version:
+        if announced is self._used:
             return ""
         lacking = sum(entry.version not in self._models for entry in announced.entries)
         parts = [f"{lacking} of {len(announced.entries)} regions"] if lacking else []
@@ -62,10 +68,18 @@ class ModelSetAssembler:
             parts.append("the map")
         return f"model {announced.version[:12]} lacks {' and '.join(parts)}"
 
+    def is_whole(self, version: str) -> bool:
+        """Whether the newest set has that version, and was given."""
+        return self._used is not None and self._used is self._announced and self._used.version == version
+
     def put_map(self, message: Grid) -> WholeSet | None:
         """Takes a map. Raises MapError."""
         grid = from_message(message)
-        self._grids = {**self._wanted_grids(), grid.version: grid}
+        self._grids.pop(grid.version, None)
+        self._grids[grid.version] = grid  # the newest last
+        wanted = {each.map_version for each in (self._announced, self._used) if each}
+        for version in [one for one in self._grids if one not in wanted][:-MOST_GRIDS]:
+            del self._grids[version]
         return self._whole()
 
     def put_model(self, message: model_pb2.RegionModel) -> WholeSet | None:
@@ -90,7 +104,10 @@ class ModelSetAssembler:
             raise ModelError(
                 f"model set {message.version[:12]!r}: its entries make version {expected[:12]!r}: damaged"
             )
-        self._announce(message)
+        announced = model_pb2.ModelSet()
+        announced.CopyFrom(message)
+        announced.ClearField("timestamp")
+        self._announce(self._used if announced == self._used else announced)
         self._refuse_too_large()
         return self._whole()
 
@@ -128,13 +145,9 @@ class ModelSetAssembler:
             f"{set_aside.MOST_SET_BYTES / 1e9:.1f} GB of memory: build the site again with a larger --spacing"
         )
 
-    def _wanted_grids(self) -> dict[str, GridMap]:
-        wanted = self._announced.map_version if self._announced else ""
-        return {version: grid for version, grid in self._grids.items() if version == wanted}
-
     def _whole(self) -> WholeSet | None:
         announced = self._announced
-        if announced is None or announced.version == self._version:
+        if announced is None or announced is self._used:
             return None
         grid = self._grids.get(announced.map_version)
         found = [self._models.get(entry.version) for entry in announced.entries]
@@ -142,25 +155,34 @@ class ModelSetAssembler:
         if grid is None or len(regions) < len(found):
             return None
         try:
-            _fit_together(regions, grid)
+            _fit_together(regions, grid, announced.free_area_m2)
         except ModelError:
             self._announce(None)  # it stays refused, however often one of its parts comes again
             raise
-        self._version = announced.version
+        if self._used is not None and self._used.map_version != announced.map_version:
+            self._grids.pop(self._used.map_version, None)
+        self._used = announced
         self._given = tuple(model.version for model in regions)
         # only models that the next set may share are kept
         self._models = {model.version: model for model in regions}
         self._others = Sizes()
         self._announce(announced)
-        self._grids = {announced.map_version: grid}
         floors = usable_floors(announced)
         return WholeSet(announced.version, announced.frame_id, grid, regions, announced.free_area_m2, floors)
 
 
-def _fit_together(regions: tuple[RegionModel, ...], grid: GridMap) -> None:
-    """Raises ModelError where regions of one set lie on different grids, or outside of their map."""
+def _fit_together(regions: tuple[RegionModel, ...], grid: GridMap, free_area_m2: float) -> None:
+    """Raises ModelError where regions of one set lie on different grids, or outside of their map.
+
+    Also where the set's free area is none of this map's: probabilities are by it.
+    """
     first = regions[0]
     height, width = grid.cells.shape
+    if not 0.0 < free_area_m2 <= height * width * grid.resolution**2:
+        raise ModelError(
+            f"model set: free_area_m2 = {free_area_m2:g} must be above 0 and within its map: "
+            "build the site again"
+        )
     for model in regions:
         column, row = grid.to_grid(model.positions).T
         if not ((column >= 0) & (column <= width) & (row >= 0) & (row <= height)).all():

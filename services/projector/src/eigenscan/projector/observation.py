@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 NEAREST = 0.25
 """Least range, m: a shorter beam met a cover or the robot itself."""
+WIDEST = 1e3
+"""rad, of the first beam: the contract has half a turn; a damaged number may be larger than any angle."""
 WEIGHED_BEAMS = 120
 """Beams that are enough for the likelihood."""
 
@@ -89,7 +91,7 @@ def observe(scan: Scan) -> Observation:
     """Observation of a canonical scan. Raises ValueError for an invalid angular grid."""
     beams = len(scan.ranges)
     step = scan.angle_increment
-    if not beams or not (0.0 < step <= np.pi and np.isfinite(scan.angle_min)):
+    if not beams or not (0.0 < step <= np.pi and abs(scan.angle_min) <= WIDEST):
         raise ValueError(f"{beams} beams from {scan.angle_min} rad in steps of {step} rad")
     if not 0.0 <= scan.range_max < np.inf:
         raise ValueError(f"range_max = {scan.range_max} m")

@@ -39,8 +39,8 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 REACH = 3.0
-"""Largest distance from the base to the sensor, m: regions this far outside of the allowed ones are searched
-too."""
+"""m from the base to the sensor at most, unless its mount is farther: regions this far outside of the allowed
+ones are searched too."""
 _FAULTS = FAULTS | {"too_many_beams": f"ranges: more than {MOST_BEAMS} beams"}
 
 
@@ -60,8 +60,8 @@ class Allowed:
     regions: Flags | None
 
     @classmethod
-    def of(cls, query: LocalizeQuery, site: Site) -> Allowed:
-        """The limits in a query. Raises QueryError that names the field."""
+    def of(cls, query: LocalizeQuery, mount: Array, site: Site) -> Allowed:
+        """The limits in a query; `mount` (3,): the sensor in the base frame. Raises QueryError."""
         floor = _floor(query.floor, site.floors)
         near = _near(query, floor)
         if query.region and query.region not in site.regions:
@@ -73,7 +73,9 @@ class Allowed:
             centres = site.boxes.reshape(-1, 2, 2).mean(axis=1)
             kept &= np.array([floor.holds([*centre, 0.0]) for centre in centres], dtype=bool)
         if near is not None:
-            kept &= Reach(float(near[0]), float(near[1]), query.radius + REACH).regions(site.boxes)
+            kept &= Reach(
+                float(near[0]), float(near[1]), query.radius + max(REACH, math.hypot(mount[0], mount[1]))
+            ).regions(site.boxes)
         if not kept.any():
             raise QueryError("near, radius, floor, region: no part of the map is in all of them")
         turn = query.turn or math.pi
@@ -106,7 +108,7 @@ def answer(
     """Candidates of one scan; `whole`: once all regions are ready. Raises QueryError naming the field."""
     scan = canonical(query.scan)
     seen, mount = observe(scan), from_message(scan.mount)
-    allowed = Allowed.of(query, site)
+    allowed = Allowed.of(query, mount, site)
     reply = LocalizeReply(
         timestamp=query.scan.timestamp,
         frame_id=site.frame_id,

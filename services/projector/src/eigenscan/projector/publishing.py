@@ -169,7 +169,7 @@ def reported_regions(found: Candidates) -> NDArray[np.int64]:
     if len(projected) <= REPORTED:
         return projected
     best = np.argpartition(energy, REPORTED)[:REPORTED]
-    return np.union1d(best[np.argsort(energy[best])][: REPORTED - len(found.poses)], found.region)
+    return np.union1d(best[np.argsort(energy[best])][: max(REPORTED - len(found.poses), 0)], found.region)
 
 
 def obstacles_message(

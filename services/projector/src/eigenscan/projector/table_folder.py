@@ -8,8 +8,10 @@ from __future__ import annotations
 import shutil
 import tempfile
 import threading
+import time
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,8 @@ Arrays = dict[str, NDArray[Any]]
 KEPT = 6
 """Sets of arrays: two versions of a site's models for three lidars. Those used longest ago go first."""
 ASIDE = ".damaged"
+LEFT_S = 3600.0
+"""Age, s, from which an unfinished folder was left behind: no array takes so long to write."""
 
 
 class TableFolder:
@@ -49,7 +53,8 @@ class TableFolder:
                 if array.shape != wanted.shape or array.dtype != wanted.dtype:
                     raise ValueError(f"{part}: {array.dtype} {array.shape}")
                 found[part] = array
-            place.touch()
+            with suppress(OSError):  # a folder that may only be read
+                place.touch()
         except (OSError, *DAMAGE):
             self.set_aside(name)
             return None
@@ -85,6 +90,9 @@ class TableFolder:
             return
 
     def _tidy(self) -> None:
+        for path in self._folder.glob(".*"):  # of processes that ended while they saved
+            if time.time() - path.stat().st_mtime > LEFT_S:
+                shutil.rmtree(path, ignore_errors=True)
         kept = sorted(self._folder.glob("[!.]*"), key=lambda path: path.stat().st_mtime, reverse=True)
         for path in kept[KEPT:]:
             shutil.rmtree(path, ignore_errors=True)

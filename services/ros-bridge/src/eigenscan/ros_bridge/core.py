@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from eigenscan.geometry.gridmap import MapError
-from eigenscan.geometry.normalize import ScanError
+from eigenscan.geometry.normalize import FAULTS, ScanError
 from eigenscan.geometry.pose import to_message
 from eigenscan.ros_bridge import cdr
 from eigenscan.ros_bridge.channels import ROS_ANSWERED, ROS_ASKED, ROS_PUBLISHED, ROS_RECEIVED
@@ -64,7 +64,7 @@ from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from google.protobuf.wrappers_pb2 import BytesValue
 
 ALL = ""
-"""Stands for the topics of all scans."""
+"""Stands for all topics of scans, where what they lack is one thing."""
 
 Receiver = Callable[[bytes], Iterable[Envelope]]
 Answerer = Callable[[bytes], tuple[bytes, Iterable[Envelope]]]
@@ -88,7 +88,9 @@ class RosBridgeCore:
         self._odom_frame = frame_name(settings.odom_frame) if settings.tf else ""
         self._odometry_in_tf = False
         has_odometry = self._ends.odometry is not None or self._odom_frame != ""
-        self._mounts = Mounts(settings.base_frame, settings.mounts_from_tf, has_odometry)
+        base_frame = frame_name(settings.base_frame or "") or None
+        self._mounts = Mounts(base_frame, settings.mounts_from_tf, has_odometry)
+        self._odom_child = ""  # the frame that odometry in tf moves
         self._lifecycle = Lifecycle(settings.lifecycle)
         self._parameters = {
             settings.lifecycle: Parameters.of_amcl(self._settings),
@@ -103,7 +105,11 @@ class RosBridgeCore:
         self._gathering = Gathering(settings.gather) if settings.gather else None
         self._estimate: PoseEstimate | None = None  # since the tracker's last health
         sources = (*self._ends.scans, *self._ends.clouds)
-        self._lacks = {ALL: "no scan yet on " + ", ".join(source.name for source in sources)}
+        self._silent = [source.name for source in sources]
+        """Topics of which no scan was received."""
+        self._spare = [source.name for source in self._ends.scans if settings.points]
+        """Those that need not come: beside clouds, for the setting scan always has a topic."""
+        self._lacks: dict[str, str] = {}
         """By topic, why its last scan was set aside."""
         self._received, self._stamping = 0, Stamping()
         self._receivers = dict(self._make_receivers())
@@ -137,7 +143,8 @@ class RosBridgeCore:
 
     def condition(self) -> Condition:
         """WAITING until scans arrive, with the missing parts, and while a lifecycle manager pauses it."""
-        lacks = "; ".join(self._lacks.values())
+        silent = [f"no scan yet on {', '.join(self._silent)}"] if self._silent else []
+        lacks = "; ".join([*silent, *self._lacks.values()])
         if not self._lifecycle.active:
             lacks = f"publishes no pose: a lifecycle manager has it {self._lifecycle.state}"
         status = Health.STATUS_WAITING if lacks else Health.STATUS_OK
@@ -176,7 +183,16 @@ class RosBridgeCore:
 
     def _scan_receiver(self, endpoint: Endpoint, lidar: str, take: Callable[[Any], RawScan]) -> Receiver:
         def receive(data: bytes) -> Iterator[Envelope]:
-            body = cdr.decode(endpoint.kind, data)
+            self._silent = [
+                name for name in self._silent if name != endpoint.name and name not in self._spare
+            ]
+            try:
+                body = cdr.decode(endpoint.kind, data)
+            except cdr.CdrError:
+                self._lacks[endpoint.name] = (
+                    f"{endpoint.name}: its messages are no {endpoint.kind}: name a topic of that type"
+                )
+                raise
             self._lacks.pop(ALL, None)
             try:
                 message = take(body)
@@ -188,11 +204,11 @@ class RosBridgeCore:
             if self._gathering is None:
                 yield Envelope(SCAN_RAW, {**self._address, "lidar": lidar}, message)
             else:
-                yield from self._gathered(self._gathering, message)
+                yield from self._gathered(self._gathering, endpoint.name, message)
 
         return receive
 
-    def _gathered(self, gathering: Gathering, message: RawScan) -> Iterator[Envelope]:
+    def _gathered(self, gathering: Gathering, topic: str, message: RawScan) -> Iterator[Envelope]:
         if not gathering.knows(message):
             self._counts["set_aside_no_odometry"] += 1
             self._lacks[ALL] = "no odometry of the scans' time yet, to gather them by"
@@ -201,6 +217,7 @@ class RosBridgeCore:
             gathered = gathering.gather(message)
         except ScanError as error:
             self._counts[f"set_aside_{error.reason}"] += 1
+            self._lacks[topic] = f"{topic}: {FAULTS[error.reason]}"
             return
         if gathered is not None:
             yield Envelope(SCAN_RAW, {**self._address, "lidar": LIDAR}, gathered)
@@ -240,16 +257,28 @@ class RosBridgeCore:
             yield Envelope(HEADING, self._address, heading)
 
     def _receive_transforms(self, data: bytes) -> Iterator[Envelope]:
-        transforms = cdr.decode(cdr.TRANSFORMS, data).transforms
-        self._mounts.receive(transforms)
-        for item in transforms:
-            if self._odom_frame and frame_name(item.header.frame_id) == self._odom_frame:
-                message = odometry_of_tf(item)
-                if message is None:
-                    self._counts["set_aside_odometry_not_a_pose"] += 1
-                    continue
+        for item in cdr.decode(cdr.TRANSFORMS, data).transforms:
+            if not self._odom_frame or frame_name(item.header.frame_id) != self._odom_frame:
+                self._mounts.receive(item)
+                continue
+            message = odometry_of_tf(item)
+            if message is None:
+                self._counts["set_aside_odometry_not_a_pose"] += 1
+            elif not self._is_base(message.body_frame_id):
+                self._counts["set_aside_odometry_of_another_frame"] += 1
+            else:
                 self._odometry_in_tf = True
                 yield self._moved(message)
+
+    def _is_base(self, child: str) -> bool:
+        """Whether that child of the odometry frame is the robot: a dock or a marker may be one too.
+
+        The first one is, until another one shows that it carries the base or the sensors.
+        """
+        known = self._odom_child
+        if not known or (child != known and self._mounts.carries(child) and not self._mounts.carries(known)):
+            self._odom_child = child
+        return child == self._odom_child
 
     def _moved(self, message: Odometry) -> Envelope:
         self._mounts.receive_base(message.body_frame_id)
@@ -328,12 +357,12 @@ class RosBridgeCore:
             return
         if received.channel is HEALTH:
             health = received.open(Health)
-            if not self._tracker_is_there and self._is_its_tracker(health):
-                self._tracker_is_there = True
-                yield from self._start_pose()
+            if self._is_its_tracker(health):
+                yield from self._meet_tracker()
             yield from self._diagnose(health)
         elif received.channel is POSE:
             self._estimate = received.open(PoseEstimate)
+            yield from self._meet_tracker()  # one of many robots has no robot's name
         if not self._lifecycle.active:
             return
         if received.channel is POSE:
@@ -349,6 +378,13 @@ class RosBridgeCore:
             yield _published(ends.map_to_odom, transforms(received.open(FrameTransform), ahead))
         elif received.channel is TRACKS and ends.particles:
             yield _published(ends.particles, particle_cloud(received.open(Tracks)))
+
+    def _meet_tracker(self) -> list[Envelope]:
+        """The pose at the start, at the first message of the robot's tracker."""
+        if self._tracker_is_there:
+            return []
+        self._tracker_is_there = True
+        return self._start_pose()
 
     def _is_its_tracker(self, health: Health) -> bool:
         return health.service == "tracker" and health.instance == self._address["robot"]

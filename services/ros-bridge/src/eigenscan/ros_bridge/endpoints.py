@@ -34,7 +34,7 @@ from eigenscan.ros_bridge.service_types import (
     SET_INITIAL_POSE,
     SET_PARAMETERS,
 )
-from eigenscan.ros_bridge.settings import RosBridgeSettings
+from eigenscan.ros_bridge.settings import RosBridgeSettings, qualified
 
 NODE = "eigenscan"
 """The bridge's own name in ROS 2's graph."""
@@ -188,14 +188,6 @@ def endpoints(settings: RosBridgeSettings) -> Endpoints:
         diagnostics=published(settings.diagnostics, DIAGNOSTICS, _COMMAND),
         map=published(settings.map, OCCUPANCY_GRID, _LATCHED),
     )
-
-
-def qualified(namespace: str, name: str) -> str:
-    """Full name of a topic: one without a leading slash is in the robot's namespace."""
-    if name.startswith("/"):
-        return name
-    inside = namespace.strip("/")
-    return f"/{inside}/{name}" if inside else f"/{name}"
 
 
 class Dialect(Protocol):

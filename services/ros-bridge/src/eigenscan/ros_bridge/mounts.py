@@ -39,12 +39,17 @@ class Mounts:
             self._base = frame or DEFAULT_BASE
             self._known.clear()
 
-    def receive(self, transforms: Any) -> None:
-        """Takes a TFMessage."""
-        for item in transforms:
-            move, turn = item.transform.translation, item.transform.rotation
-            parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
-            self._tree.receive(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
+    def receive(self, item: Any) -> None:
+        """Takes a TransformStamped between frames of the robot: not odometry, which moves."""
+        move, turn = item.transform.translation, item.transform.rotation
+        parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
+        self._tree.receive(parent, child, (move.x, move.y, move.z), (turn.x, turn.y, turn.z, turn.w))
+
+    def carries(self, frame: str) -> bool:
+        """Whether a frame that odometry moves has the robot on it: the base; any frame if none is given."""
+        if self._given and self._base is not None:
+            return frame == self._base or self._tree.between(frame, self._base) is not None
+        return self._tree.has_children(frame)
 
     def of(self, frame: str) -> Mount:
         """The mount of the sensor with that frame. Raises MountError if there is none yet."""

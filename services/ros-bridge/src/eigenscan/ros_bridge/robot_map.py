@@ -6,10 +6,11 @@ import queue
 
 from eigenscan.geometry.gridmap import GridMap, MapError
 from eigenscan.ros_bridge import cdr
-from eigenscan.ros_bridge.endpoints import Endpoint, Qos, Role, qualified
+from eigenscan.ros_bridge.endpoints import Endpoint, Qos, Role
 from eigenscan.ros_bridge.inbound import grid_map
 from eigenscan.ros_bridge.options import RosBridgeOptions
 from eigenscan.ros_bridge.session import dialect_of, open_towards_ros, subscribe
+from eigenscan.ros_bridge.settings import qualified
 
 
 def take_map(settings: RosBridgeOptions, patience_s: float) -> GridMap:

@@ -109,12 +109,28 @@ class RosBridgeSettings(Settings):
             raise ValueError("gather needs mounts_from_tf")
         return self
 
+    @model_validator(mode="after")
+    def _each_once(self) -> RosBridgeSettings:
+        topics = [qualified(self.namespace, name) for name in (*self.scan, *self.points)]
+        for topic in topics:
+            if topics.count(topic) > 1:
+                raise ValueError(f"scan, points: must name each topic once; {topic} is named twice")
+        return self
+
     @field_validator("scan", "points")
     @classmethod
     def _ros_names(cls, value: list[str]) -> list[str]:
-        if not all(value) or len(set(value)) < len(value):
-            raise ValueError("must be names of topics, each once")
+        if not all(value):
+            raise ValueError("must be names of topics")
         return [_checked(name) for name in value]
+
+
+def qualified(namespace: str, name: str) -> str:
+    """Full name of a topic: one without a leading slash is in the robot's namespace."""
+    if name.startswith("/"):
+        return name
+    inside = namespace.strip("/")
+    return f"/{inside}/{name}" if inside else f"/{name}"
 
 
 def _checked(name: str) -> str:

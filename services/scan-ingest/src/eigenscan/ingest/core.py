@@ -38,6 +38,8 @@ RECENT = 50
 GAP_NS = 1_000_000_000
 """Time between two scans, ns, beyond which the lidar paused, or its clock was set forward; stamps do not show
 which."""
+SILENT = 2 * RECENT
+"""Scans that each of the others sends meanwhile, after which a lidar is off: health is of those that send."""
 NAMED = 5
 """Number of late scans, or of one of these reasons, among a lidar's latest RECENT that shows a fault."""
 SHOWN = {
@@ -63,12 +65,14 @@ class _Lidar:
     """State of one lidar of one robot."""
 
     newest: int | None = None  # ns, stamp of the last scan published
+    followed: int | None = None  # ns, stamp of the last scan in order, also of one that was set aside
     late: int = 0  # scans in a row that lie before it
     latest_late: int = 0  # ns, stamp of the last of those
     published: int = 0
     watch: Watch = field(default_factory=Watch)
     deskew: Deskew = field(default_factory=Deskew)
     recent: deque[str] = field(default_factory=lambda: deque(maxlen=RECENT))  # why set aside, or ""
+    received: int = 0  # how many scans of all lidars were received when its last one was
 
     @property
     def fault(self) -> str:
@@ -86,6 +90,10 @@ class _Lidar:
             return (
                 "has stamps of two times by turns: do two lidars or two robots use this name, or two clocks?"
             )
+        reasons = Counter(reason for reason in recent if reason)
+        if 2 * reasons.total() > len(recent):
+            worst, _ = reasons.most_common(1)[0]
+            return f"has most of its latest scans set aside ({worst}): {WHY[worst]}"
         return ""
 
 
@@ -100,7 +108,6 @@ class ScanIngestCore:
         self._step = None if settings.angle_step is None else math.radians(settings.angle_step)
         self._lidars: RecentlyUsed[tuple[str, str], _Lidar] = RecentlyUsed()
         self._counts: Counter[str] = Counter(heard=0, published=0, lidars=0)
-        self._recent: deque[str] = deque(maxlen=RECENT)
 
     def start(self) -> Iterable[Envelope]:
         """Publishes nothing."""
@@ -109,19 +116,18 @@ class ScanIngestCore:
     def handle(self, received: Envelope) -> Iterable[Envelope]:
         """The canonical scan of a raw one unless it was set aside; before it, now and then, the motion."""
         self._counts["heard"] += 1
+        lidar = self._lidars.use((received.address["robot"], received.address["lidar"]), self._new_lidar)
+        lidar.received = self._counts["heard"]
         try:
             raw = received.open(RawScan)
         except ContractError:
-            return self._set_aside("other_message")
-        lidar = self._lidars.use((received.address["robot"], received.address["lidar"]), self._new_lidar)
+            return self._set_aside(lidar, "other_message")
         try:
             scan, ranges = self._normalize(lidar, received.address["lidar"], raw)
         except ScanError as unusable:
-            lidar.recent.append(unusable.reason)
-            return self._set_aside(unusable.reason)
+            return self._set_aside(lidar, unusable.reason)
         lidar.recent.append("")
         self._counts["published"] += 1
-        self._recent.append("")
         motion = list(self._motion(lidar, received, scan, ranges))
         for each in motion:
             scan.motion.CopyFrom(each.open(ScanMotion))
@@ -132,29 +138,22 @@ class ScanIngestCore:
         return ()
 
     def condition(self) -> Condition:
-        """DEGRADED if a lidar is frozen, covered or duplicated, or if most scans were rejected."""
+        """DEGRADED if a lidar that sends is frozen, covered, doubled, or mostly set aside."""
         counters = dict(self._counts)
-        if not self._recent:
+        if not len(self._lidars):
             return Condition(Health.STATUS_WAITING, "no scan received yet", counters)
         faults = [
             f"lidar {robot}/{name} {lidar.fault}"
             for (robot, name), lidar in self._lidars.items()
-            if lidar.fault
+            if self._counts["heard"] - lidar.received <= SILENT * len(self._lidars) and lidar.fault
         ]
         if faults:
             return Condition(Health.STATUS_DEGRADED, "; ".join(faults[:3]), counters)
-        reasons = Counter(reason for reason in self._recent if reason)
-        if 2 * reasons.total() <= len(self._recent):
-            return Condition(Health.STATUS_OK, "", counters)
-        worst, _ = reasons.most_common(1)[0]
-        count = len(self._recent)
-        share = f"over half of the last {count} scans" if count > 1 else "the only scan"
-        detail = f"{share} set aside ({worst}): {WHY[worst]}"
-        return Condition(Health.STATUS_DEGRADED, detail, counters)
+        return Condition(Health.STATUS_OK, "", counters)
 
-    def _set_aside(self, reason: str) -> Iterable[Envelope]:
+    def _set_aside(self, lidar: _Lidar, reason: str) -> Iterable[Envelope]:
         self._counts[f"set_aside_{reason}"] += 1
-        self._recent.append(reason)
+        lidar.recent.append(reason)
         return ()
 
     def _motion(self, lidar: _Lidar, received: Envelope, scan: Scan, ranges: Ranges) -> Iterator[Envelope]:
@@ -183,6 +182,8 @@ class ScanIngestCore:
         time = nanoseconds(raw.timestamp)
         self._check_order(lidar, time)
         mount, upside_down = self._mount(name, raw)
+        if not math.isfinite(raw.angle_min):  # of no layout
+            raise ScanError("angles_not_finite")
         lidar.watch.receive_layout((mount.x, mount.y, mount.theta), raw.angle_min)
         if lidar.watch.two_lidars:
             raise ScanError("two_lidars")
@@ -216,6 +217,8 @@ class ScanIngestCore:
             sequence=lidar.published,
         )
         put_floats(scan, Scan.RANGES_FIELD_NUMBER, sweep.ranges)
+        if lidar.newest is not None and time < lidar.newest:
+            self._counts["clock_steps"] += 1
         lidar.newest, lidar.late, lidar.published = time, 0, lidar.published + 1
         return scan, sweep.ranges
 
@@ -230,8 +233,9 @@ class ScanIngestCore:
         back (or ran ahead once): then the new time holds.
         """
         if lidar.newest is None or stamp > lidar.newest:
-            if lidar.newest is not None and stamp - lidar.newest > GAP_NS:
+            if lidar.followed is not None and stamp - lidar.followed > GAP_NS:
                 self._counts["stamp_gaps"] += 1
+            lidar.followed = stamp
             return
         if stamp == lidar.newest:
             raise ScanError("duplicate_stamp")
@@ -239,7 +243,7 @@ class ScanIngestCore:
         lidar.latest_late = stamp
         if lidar.late < self._settings.clock_step_scans:
             raise ScanError("out_of_order")
-        self._counts["clock_steps"] += 1
+        lidar.followed = stamp
 
     def _mount(self, name: str, raw: RawScan) -> tuple[Pose2, bool]:
         override = self._settings.mounts.get(name) or self._settings.mounts.get(EVERY_LIDAR)

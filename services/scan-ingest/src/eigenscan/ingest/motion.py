@@ -9,7 +9,7 @@ would need some 300 small calls of numpy; the tests have it in numpy.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, cos, hypot, inf, isfinite, pi, sin, sqrt
+from math import ceil, cos, hypot, inf, isfinite, pi, remainder, sin, sqrt, tau
 from typing import NamedTuple
 
 import numpy as np
@@ -118,7 +118,8 @@ def points_of(ranges: Array, angle_min: float, step: float, mount: Pose, stamp: 
 
 def motion_between(before: Points, after: Points, guess: Pose) -> Motion:
     """Motion from a lidar's earlier scan to a later one; starts from `guess` and from the ranges' turn."""
-    if before.ranges.shape != after.ranges.shape or abs(before.angle_min - after.angle_min) > before.step:
+    apart = remainder(before.angle_min - after.angle_min, tau)  # -180 and 180 deg are one direction
+    if before.ranges.shape != after.ranges.shape or abs(apart) > before.step:
         return NOTHING_IN_COMMON
     x, y, heading = before.mount
     delta, information, explained, points = _motion(
