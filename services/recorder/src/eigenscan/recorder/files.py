@@ -10,6 +10,8 @@ from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
+from eigenscan.runtime.logs import logger
+
 SUFFIX = ".mcap"
 
 
@@ -41,6 +43,16 @@ def _is_written(path: Path) -> bool:
     except OSError:
         return False
     return False
+
+
+def _is_deleted(path: Path) -> bool:
+    """Deletes a file; False where that is impossible, which must not end the recording."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        logger().warning("not_deleted", file=str(path), reason=error.strerror)
+        return False
+    return True
 
 
 def _size(path: Path) -> int:
@@ -101,16 +113,17 @@ class Files:
     def make_room(self, total_bytes: int) -> int:
         """Deletes the oldest files until all take at most `total_bytes`; how many.
 
-        None that a recorder still writes. Other recorders may delete some at the same time.
+        None that a recorder still writes, and none that cannot be deleted. Other recorders may delete some at
+        the same time.
         """
         files = self.own()
         excess, deleted = sum(map(_size, files)) - total_bytes, 0
         for path in files:
             if excess <= 0:
                 break
-            if not _is_written(path):
-                excess -= _size(path)
-                path.unlink(missing_ok=True)
+            size = _size(path)
+            if not _is_written(path) and _is_deleted(path):
+                excess -= size
                 deleted += 1
         return deleted
 
