@@ -67,7 +67,10 @@ class BackgroundSink(Sink):
         self._thread.join(2 * DRAIN_S)
         self._counts["undrawn"] += len(self._waiting) + len(self._latched)
         if not self._thread.is_alive():
-            self._sink.close()
+            try:
+                self._sink.close()
+            except Exception as error:  # the other sinks are to be closed, too
+                logger().error("sink_not_closed", exc_info=error)
 
     def _run(self) -> None:
         while True:
