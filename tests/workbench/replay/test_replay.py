@@ -168,6 +168,40 @@ def test_both_sides_of_a_difference_are_drawn_on_the_map(
     assert set(apart.values()) == {0.0}
 
 
+def test_a_robot_with_another_clock_does_not_end_the_picture(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    """Nor does the list of another projector replace the first one's."""
+    listed = only(run.messages, HYPOTHESES)[4]
+    log_likelihood = listed.envelope.open(Hypotheses).hypotheses[0].log_likelihood
+    other = with_message(listed)
+    other.envelope.open(Hypotheses).hypotheses[0].log_likelihood = log_likelihood - 1.0
+    aliases = [
+        Timed(timed.time, replace(timed.envelope, address={**timed.envelope.address, "projector": "second"}))
+        for timed in only(run.messages, HYPOTHESES, OBSTACLES)
+    ]
+    ahead = [
+        Timed(
+            timed.time,
+            Envelope(
+                SCAN,
+                {**timed.envelope.address, "robot": "ahead"},
+                changed(timed.envelope.message, timestamp__seconds=timed.envelope.stamp // 10**9 + 60),
+            ),
+        )
+        for timed in only(run.messages, SCAN)[:1]
+    ]
+    messages = [*ahead, *swap(run.messages, listed, other), *aliases]
+    path = run.write(tmp_path / "a.mcap", sorted(messages, key=lambda one: one.time))
+    ended = eigenscan("replay", path, "--service", "projector", "--compare")
+    assert ended.code == 1, ended.out + ended.err
+    chunks = RrdReader(str(tmp_path / "a.projector.rrd")).stream()
+    drawn = {chunk.entity_path for chunk in chunks}
+    lidar, projector = (listed.envelope.address[name] for name in ("lidar", "projector"))
+    for name in (projector, "second"):
+        assert f"/world/robot/recorded/hypotheses/{lidar}/{name}" in drawn
+
+
 @pytest.mark.parametrize("target", ["/dev/full", "/proc/a.rrd"])
 def test_a_picture_that_cannot_be_written_takes_nothing_from_the_verdict(
     run: Run, eigenscan: Command, tmp_path: Path, target: str
@@ -367,6 +401,40 @@ def test_what_the_recorder_missed_is_noted(run: Run, eigenscan: Command, tmp_pat
         assert noted is is_noted, ended.out
 
 
+def test_another_robots_messages_do_not_hide_what_the_recorder_missed(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    inputs = only(run.messages, ODOMETRY)
+    count = len(inputs)
+    others = [
+        Timed(timed.time, replace(timed.envelope, address={**timed.envelope.address, "robot": "other"}))
+        for timed in inputs
+    ]
+    text = json.dumps({"robot": "robot", "instance": "t"})
+    reported = Timed(run.messages[-1].time, health(text, heard_odometry=count + 5))
+    path = run.write(
+        tmp_path / "a.mcap", sorted([*run.messages, *others, reported], key=lambda one: one.time)
+    )
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare")
+    assert f"note: tracker t had received {count + 5} odometry, the recording holds {count}" in ended.out
+
+
+def test_what_the_recorder_reports_as_lost_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+    """What it lost before, in an earlier file, is not."""
+    times = [run.messages[0].time, run.messages[len(run.messages) // 2].time, run.messages[-1].time]
+    words = [
+        Timed(time, Envelope(HEALTH, {"site": "site", "service": "recorder", "instance": "rec"}, message))
+        for time, lost in zip(times, (20, 20, 27), strict=True)
+        for message in [Health(service="recorder", instance="rec", counters={"mcap_lost": lost})]
+    ]
+    for number, stated in ((2, False), (3, True)):
+        messages = sorted([*run.messages, *words[:number]], key=lambda one: one.time)
+        path = run.write(tmp_path / f"{number}.mcap", messages)
+        ended = eigenscan("replay", path, "--service", "tracker", "--compare")
+        assert ("note: recorder rec lost 7 messages: they cannot be replayed" in ended.out) is stated
+        assert ("note: recorder" in ended.out) is stated
+
+
 @pytest.mark.parametrize("group", ["robot", "r*t,another"])
 def test_an_instance_receives_only_its_robots(
     run: Run, eigenscan: Command, tmp_path: Path, group: str
@@ -411,6 +479,11 @@ def test_what_is_published_now_can_be_kept(
     published = {one.channel for one in other}
     taken = {ODOMETRY, SCAN_MOTION, HYPOTHESES, MODEL_SET}
     assert {record.envelope.channel for record in read(out)} == taken | published
+    assert all(
+        record.publish_time == record.envelope.stamp
+        for record in read(out)
+        if record.envelope.channel is POSE
+    )
 
 
 def test_a_file_that_was_cut_is_replayed_as_far_as_it_goes(

@@ -90,7 +90,10 @@ def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> S
 
 
 def is_sound(path: Path, moved: Moved = lambda _bytes: None) -> bool:
-    """Whether a file is readable to its proper end, and has a sound index. Raises RecordingError if it is no MCAP."""
+    """Whether a file is readable to its proper end, with a sound index.
+
+    Raises RecordingError if it is no MCAP.
+    """
     try:
         found = Salvage(path.stat().st_size)
         for _ in _records(path, found, moved):

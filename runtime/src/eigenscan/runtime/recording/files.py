@@ -51,7 +51,7 @@ BLOCK_BYTES = 2**20
 _CHUNK, _CHUNK_HEAD = 6, struct.Struct("<QQQII")
 _RECORD_HEAD = struct.Struct("<BQ")
 _FOOTER = struct.Struct("<BQQQI8s")
-"""With its head and the magic behind it: opcode, length, start of the summary and of its offsets, checksum."""
+"""With its head and the magic behind it: opcode, length, starts of summary and offsets, checksum."""
 
 
 class RecordingError(ValueError):
@@ -172,7 +172,7 @@ def _refuse_others(path: Path, file: IO[bytes]) -> None:
 
 
 def is_indexed(file: IO[bytes]) -> bool:
-    """Whether the file ends as an MCAP does, with a sound summary. Raises InvalidMagic if it starts otherwise."""
+    """Whether the file ends as an MCAP does, with a sound summary. Raises InvalidMagic for another start."""
     start = file.read(len(MCAP0_MAGIC))
     if start != MCAP0_MAGIC:
         raise InvalidMagic(start)

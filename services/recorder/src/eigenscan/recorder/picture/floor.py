@@ -99,7 +99,7 @@ class Floor:
     def draw_outline(
         self, path: str, x: Sequence[float], y: Sequence[float], width: float, label: str | None = None
     ) -> None:
-        """A closed line through corners, map frame, m; `width` in points. It moves along where a map comes."""
+        """A closed line through corners, map frame, m; `width` in points. A later map moves it."""
         corners = min(len(x), len(y))
         outline = np.column_stack([x[:corners], y[:corners]])
         if corners < 3:
