@@ -142,6 +142,21 @@ def test_one_changed_bit_is_shown_with_its_path_stamp_and_both_values(
     assert eigenscan(*command, "--ignore", "pose.pose.y").code == 1
 
 
+def test_text_of_a_recording_does_not_command_the_terminal(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    """Nor does it make results that no reader of XML takes."""
+    pose = only(run.messages, POSE)[40]
+    messages = swap(run.messages, pose, with_message(pose, frame_id="\x1b[2Jm\x00p"))
+    told = Timed(messages[0].time, health(json.dumps({"robot": "*", "instance": "t", "gone\x1b[2J": 1})))
+    path = run.write(tmp_path / "a.mcap", [told, *messages])
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare", "--rrd", tmp_path / "a.rrd")
+    assert ended.code == 1
+    assert "?[2Jm?p" in ended.out
+    assert "without gone?[2J, which this version does not know" in ended.out
+    assert not set(ended.out + ended.err) & {"\x1b", "\x00"}
+
+
 def test_both_sides_of_a_difference_are_drawn_on_the_map(
     run: Run, eigenscan: Command, tmp_path: Path
 ) -> None:

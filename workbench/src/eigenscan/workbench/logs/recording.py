@@ -52,7 +52,7 @@ class RecordingLog:
         self.progress = 1.0
 
     def _robot(self) -> str:
-        """The robot to take. Raises LogError where it, or a lidar that is asked for, is missing or ambiguous."""
+        """The robot to take. Raises LogError where it, or a lidar that is asked for, is missing."""
         lidars: dict[str, set[str]] = {}
         sites: dict[str, set[str]] = {}
         for record in self._records():
