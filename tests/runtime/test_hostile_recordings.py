@@ -186,7 +186,7 @@ def test_a_bit_of_the_index_costs_nothing_and_is_repaired(wholes: list[Path], tm
         content[place] ^= 1
         path.write_bytes(content)
         content[place] ^= 1
-        found = []
+        found: list[str] = []
         with suppress(RecordingError):  # of its last records, behind all messages
             found.extend(record.envelope.key for record in read(path))
         assert sorted(found) == sorted(expected), place
@@ -196,7 +196,7 @@ def test_a_bit_of_the_index_costs_nothing_and_is_repaired(wholes: list[Path], tm
     assert is_sound(saved)
 
 
-def test_a_chunk_that_is_not_as_its_index_says_is_repaired(wholes: list[Path], tmp_path: Path) -> None:
+def test_a_chunk_that_is_not_as_in_its_index_is_repaired(wholes: list[Path], tmp_path: Path) -> None:
     content, path = bytearray(wholes[0].read_bytes()), tmp_path / "times.mcap"
     with wholes[0].open("rb") as file:
         summary = make_reader(file).get_summary()

@@ -110,3 +110,4 @@ def test_what_cannot_be_deleted_does_not_end_the_recording(tmp_path: Path) -> No
         holding(files, NOON + number * HOUR)
     assert files.make_room(1000 + (tmp_path / "site-20010101-000000.mcap").stat().st_size) == 2
     assert len(files.own()) == 2
+    assert files.stuck == [f"{tmp_path / 'site-20010101-000000.mcap'}: Is a directory"]

@@ -241,7 +241,10 @@ def test_a_map_in_utm_coordinates_is_drawn_as_exactly_as_any(tmp_path: Path) -> 
 @pytest.mark.parametrize("is_first", [True, False])
 def test_outlines_lie_on_the_map_wherever_it_is_and_whenever_it_comes(tmp_path: Path, is_first: bool) -> None:
     address, path = {"site": "s", "region": "hall"}, tmp_path / "utm.rrd"
-    corners = {"outline_x": [UTM[0], UTM[0] + 9.0, UTM[0]], "outline_y": [UTM[1], UTM[1], UTM[1] + 9.0]}
+    corners: dict[str, Any] = {
+        "outline_x": [UTM[0], UTM[0] + 9.0, UTM[0]],
+        "outline_y": [UTM[1], UTM[1], UTM[1] + 9.0],
+    }
     models = ModelSet(version="v")
     models.floors.add(name="ground", **corners)
     outlines = [

@@ -148,8 +148,8 @@ def test_text_of_a_recording_does_not_command_the_terminal(
     """Nor does it make results that no reader of XML takes."""
     pose = only(run.messages, POSE)[40]
     messages = swap(run.messages, pose, with_message(pose, frame_id="\x1b[2Jm\x00p"))
-    told = Timed(messages[0].time, health(json.dumps({"robot": "*", "instance": "t", "gone\x1b[2J": 1})))
-    path = run.write(tmp_path / "a.mcap", [told, *messages])
+    word = Timed(messages[0].time, health(json.dumps({"robot": "*", "instance": "t", "gone\x1b[2J": 1})))
+    path = run.write(tmp_path / "a.mcap", [word, *messages])
     ended = eigenscan("replay", path, "--service", "tracker", "--compare", "--rrd", tmp_path / "a.rrd")
     assert ended.code == 1
     assert "?[2Jm?p" in ended.out

@@ -69,15 +69,15 @@ class RecordingWriter:
         key: str,
         payload: bytes,
         log_time: int,
-        publish_time: int,
+        publish_time: int | None = None,
     ) -> None:
-        """Adds a message that is already encoded."""
+        """Adds a message that is already encoded; `publish_time`: as `log_time`."""
         number = self._sequence.get(key, 0)
         self._sequence[key] = number + 1
         self._writer.add_message(
             channel_id=self._channel(channel, key),
             log_time=log_time,
-            publish_time=publish_time,
+            publish_time=log_time if publish_time is None else publish_time,
             sequence=number,
             data=payload,
         )

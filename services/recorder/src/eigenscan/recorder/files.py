@@ -10,8 +10,6 @@ from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
-from eigenscan.runtime.logs import logger
-
 SUFFIX = ".mcap"
 
 
@@ -45,16 +43,6 @@ def _is_written(path: Path) -> bool:
     return False
 
 
-def _is_deleted(path: Path) -> bool:
-    """Deletes a file; False where that is impossible, which must not end the recording."""
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        logger().warning("not_deleted", file=str(path), reason=error.strerror)
-        return False
-    return True
-
-
 def _size(path: Path) -> int:
     """Bytes; 0 for a file that another recorder has deleted meanwhile."""
     try:
@@ -75,6 +63,8 @@ class Files:
     target: Path
     site: str
     begun: list[Path] = field(default_factory=list)
+    stuck: list[str] = field(default_factory=list)
+    """Files that were to be deleted and cannot be, and why."""
 
     def begin(self, now: int) -> Path:
         """A new empty file, named by the time `now`, ns since the epoch. Raises OSError.
@@ -113,16 +103,23 @@ class Files:
     def make_room(self, total_bytes: int) -> int:
         """Deletes the oldest files until all take at most `total_bytes`; how many.
 
-        None that a recorder still writes, and none that cannot be deleted. Other recorders may delete some at
-        the same time.
+        None that a recorder still writes. Those that cannot be deleted are `stuck`, and the next ones go.
+        Other recorders may delete some at the same time.
         """
         files = self.own()
+        self.stuck.clear()
         excess, deleted = sum(map(_size, files)) - total_bytes, 0
         for path in files:
             if excess <= 0:
                 break
             size = _size(path)
-            if not _is_written(path) and _is_deleted(path):
+            if _is_written(path):
+                continue
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                self.stuck.append(f"{path}: {error.strerror}")
+            else:
                 excess -= size
                 deleted += 1
         return deleted

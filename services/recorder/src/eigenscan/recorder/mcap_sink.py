@@ -205,6 +205,10 @@ class McapSink(Sink):
         """The next file; deleted again if there is no room for the latched messages."""
         if self._limits.total_bytes is not None:
             self._counts["mcap_deleted"] += self._files.make_room(self._limits.total_bytes)
+            for file in self._files.stuck:
+                logger().warning(
+                    "mcap_not_deleted", file=file, hint="delete it, or the next files go instead"
+                )
         path = self._files.begin(now)
         writer: RecordingWriter | None = None
         try:

@@ -105,7 +105,8 @@ class Floor:
         if corners < 3:
             return
         if self.extent is None:  # the first map decides from where all is drawn
-            self._early[path] = partial(self.draw_outline, path, *outline.T, width, label)
+            own_x, own_y = outline.T.tolist()  # not the message's: it holds a whole model
+            self._early[path] = partial(self.draw_outline, path, own_x, own_y, width, label)
         outline = self._canvas.local(outline)
         if not is_place(outline):
             return
