@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -21,9 +22,14 @@ from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.wire import encode
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import Footer
+from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
 COUNT = 30
+FOOTER_BYTES = 37
+"""With the magic behind it."""
 
 
 def _repaired(path: Path) -> object:
@@ -168,3 +174,36 @@ def test_a_file_without_any_index_or_statistics_is_read_in_order(tmp_path: Path)
         *(0, 19),
         20,
     )
+
+
+def test_a_bit_of_the_index_costs_nothing_and_is_repaired(wholes: list[Path], tmp_path: Path) -> None:
+    """Else a file is damaged for its readers and whole for its repair; or a changed topic hides messages."""
+    content, path = bytearray(wholes[0].read_bytes()), tmp_path / "index.mcap"
+    expected = [record.envelope.key for record in read(wholes[0])]
+    with wholes[0].open("rb") as file:
+        footer = next(record for record in StreamReader(file).records if isinstance(record, Footer))
+    for place in range(footer.summary_start, len(content) - FOOTER_BYTES, 211):
+        content[place] ^= 1
+        path.write_bytes(content)
+        content[place] ^= 1
+        found: list[str] = []
+        with suppress(RecordingError):  # of its last records, behind all messages
+            found.extend(record.envelope.key for record in read(path))
+        assert sorted(found) == sorted(expected), place
+        assert not is_sound(path), place
+    saved = tmp_path / "saved.mcap"
+    assert repair(path, saved).messages == COUNT
+    assert is_sound(saved)
+
+
+def test_a_chunk_that_is_not_as_in_its_index_is_repaired(wholes: list[Path], tmp_path: Path) -> None:
+    content, path = bytearray(wholes[0].read_bytes()), tmp_path / "times.mcap"
+    with wholes[0].open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary
+    content[summary.chunk_indexes[1].chunk_start_offset + 9] ^= 1  # its first log time
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match="eigenscan repair"):
+        list(read(path))
+    assert not is_sound(path)
+    assert repair(path, tmp_path / "saved.mcap").messages == COUNT

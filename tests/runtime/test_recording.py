@@ -64,6 +64,20 @@ def test_the_command_for_a_damaged_file_works_from_here(recording: Path) -> None
         list(read(path))
 
 
+def test_another_contract_is_no_damage(tmp_path: Path) -> None:
+    """A repair finds nothing to repair there."""
+    path = tmp_path / "later.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("eigenscan.Scan", "protobuf", b"")
+        topic = writer.register_channel("s/robot/r/scan/l", "protobuf", schema, {"contract": "2"})
+        writer.add_message(topic, 1, b"", 1)
+        writer.finish()
+    with pytest.raises(RecordingError, match=r"later.mcap: scan: .*Scan/2.*: read it with the release"):
+        list(read(path))
+
+
 def test_a_stranger_decodes_every_message_with_the_file_alone(tmp_path: Path) -> None:
     path = tmp_path / "all.mcap"
     output = []

@@ -210,7 +210,8 @@ def test_one_of_several_robots_is_chosen(two: Path, house: House, flags: tuple[s
         (("--robot", "c"), "--robot c: the recording holds a, b: choose one of them"),
         (("--robots", "4"), "--robots 4: needs one robot, there is a, b: select one with --robot"),
         (("--only", "home//odom"), "--only home//odom: is no key expression"),
-        (("--only", "home/robot/z/**"), "nothing between --from and --to"),
+        (("--only", "home/robot/z/**"), "holds nothing on home/robot/z/**: it has odometry: choose with"),
+        (("--only", "advice"), "holds nothing on advice: it has odometry: choose with --only"),
         (("--service", "tracker", "--compare", "--robots", "2"), "no such option: --robots"),
     ],
 )

@@ -130,6 +130,26 @@ def test_what_fails_is_counted_and_logged_once(caplog: pytest.LogCaptureFixture,
     assert caplog.text.count("ValueError: undrawable") == 1
 
 
+class Panic(BaseException):
+    """As one in Rerun's Rust is to Python."""
+
+
+def test_a_panic_does_not_end_the_drawing(patient: None) -> None:
+    def fails(received: Envelope) -> bool:
+        if received.message.timestamp.nanos == 0:  # type: ignore[attr-defined]
+            raise Panic
+        return False
+
+    sink = Slow(fails_on=fails)
+    sink.may_write.set()
+    background = BackgroundSink(sink)
+    for number in range(3):
+        background.write(pose(number))
+    await_that(lambda: numbers(sink) == [1, 2])
+    background.close()
+    assert background.counters["undrawable"] == 1
+
+
 def test_what_two_sinks_lose_adds_up(patient: None) -> None:
     failing, good = Slow(fails_on=lambda received: True), Slow()
     sinks = [BackgroundSink(failing), BackgroundSink(good)]

@@ -101,3 +101,13 @@ def test_two_recorders_with_a_budget_lose_nothing_of_what_they_write(tmp_path: P
     kept = [record.publish_time for path in Files(tmp_path, "s").own() for record in read(path)]
     # each message twice, and of both recorders the newest
     assert sorted(kept)[-20:] == sorted([*range(291, 301)] * 2)
+
+
+def test_what_cannot_be_deleted_does_not_end_the_recording(tmp_path: Path) -> None:
+    files = Files(tmp_path, "site")
+    (tmp_path / "site-20010101-000000.mcap").mkdir()
+    for number in range(3):
+        holding(files, NOON + number * HOUR)
+    assert files.make_room(1000 + (tmp_path / "site-20010101-000000.mcap").stat().st_size) == 2
+    assert len(files.own()) == 2
+    assert files.stuck == [f"{tmp_path / 'site-20010101-000000.mcap'}: Is a directory"]

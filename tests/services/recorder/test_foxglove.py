@@ -242,3 +242,9 @@ def test_the_layout_shows_topics_and_fields_that_there_are() -> None:
     for topic, _, field in (path.partition(".") for path in [*paths, panel["RawMessages!pose"]["topicPath"]]):
         channel, _address = find(topic) or pytest.fail(topic)
         assert not field or field in channel.message.DESCRIPTOR.fields_by_name
+
+
+def test_on_every_address_the_link_is_one_that_opens() -> None:
+    sink = FoxgloveSink("0.0.0.0", 0, "s")
+    sink.close()
+    assert sink.url.startswith("ws://127.0.0.1:")

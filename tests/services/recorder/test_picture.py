@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
+import resource
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterable
 from copy import deepcopy
 from dataclasses import replace
@@ -24,6 +27,8 @@ from eigenscan.geometry.circle import TURN
 from eigenscan.geometry.gridmap import FREE, OCCUPIED, GridMap
 from eigenscan.geometry.gridmap import to_message as grid_message
 from eigenscan.geometry.pose import compose, inverse, to_message, to_pose3
+from eigenscan.recorder import rerun_sink
+from eigenscan.recorder.background_sink import BackgroundSink
 from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.picture import curves, status
 from eigenscan.recorder.picture.belief import probabilities
@@ -38,10 +43,23 @@ from eigenscan.recorder.picture.robot import label_place
 from eigenscan.recorder.picture.shapes import MAHALANOBIS_95, arrows, ellipse
 from eigenscan.recorder.rerun_sink import RerunSink
 from eigenscan.schemas.advice_pb2 import Advice
-from eigenscan.schemas.channels import ADVICE, CHANNELS, HEALTH, HYPOTHESES, MAP, POSE, SCAN, TRACKS, TRUTH
+from eigenscan.schemas.channels import (
+    ADVICE,
+    CHANNELS,
+    HEALTH,
+    HYPOTHESES,
+    MAP,
+    MODEL,
+    MODEL_SET,
+    POSE,
+    SCAN,
+    TRACKS,
+    TRUTH,
+)
 from eigenscan.schemas.envelope import Envelope, nanoseconds, stamp
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses, Obstacles, SearchRequest
+from eigenscan.schemas.model_pb2 import ModelSet
 from eigenscan.schemas.model_pb2 import RegionModel as RegionModelMessage
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import (
@@ -218,6 +236,27 @@ def test_a_map_in_utm_coordinates_is_drawn_as_exactly_as_any(tmp_path: Path) -> 
                     assert apart == pytest.approx(np.broadcast_to((250.0, 750.0), apart.shape), abs=1e-3)
     ((_, labels),) = rows(tmp_path / "utm.rrd", "/world/scale", "Points3D:labels")
     assert labels[0].endswith("x and y from (500000, 5400000)")
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_outlines_lie_on_the_map_wherever_it_is_and_whenever_it_comes(tmp_path: Path, is_first: bool) -> None:
+    address, path = {"site": "s", "region": "hall"}, tmp_path / "utm.rrd"
+    corners: dict[str, Any] = {
+        "outline_x": [UTM[0], UTM[0] + 9.0, UTM[0]],
+        "outline_y": [UTM[1], UTM[1], UTM[1] + 9.0],
+    }
+    models = ModelSet(version="v")
+    models.floors.add(name="ground", **corners)
+    outlines = [
+        Envelope(MODEL, address, RegionModelMessage(region="hall", **corners)),
+        Envelope(MODEL_SET, address, models),
+    ]
+    map_ = moved(next(m for m in Site("s", "r1", seconds=0.1).messages() if m.channel is MAP))
+    draw(path, [*outlines, map_] if is_first else [map_, *outlines])
+    for entity in ("/world/regions/hall", "/world/floors/ground"):
+        drawn = [strips for _, strips in rows(path, entity, "LineStrips3D:strips")]
+        assert any(np.allclose(strips[0][0][:2], (250.0, 750.0)) for strips in drawn)
+        assert len(drawn) == 1 + is_first  # the later one replaces the other
 
 
 def test_a_map_too_big_for_a_texture_keeps_its_walls_and_its_scale(tmp_path: Path) -> None:
@@ -649,6 +688,24 @@ def test_whatever_decodes_can_be_drawn(tmp_path: Path) -> None:
     empty = [Envelope(channel, sound[0].address, channel.message()) for channel in CHANNELS]
     draw(tmp_path / "a.rrd", [*empty, *(message for message in broken if message), *sound], draw_all=True)
     assert "/world/robots/r1/tracks" in entities(tmp_path / "a.rrd")
+
+
+def test_a_file_that_cannot_be_written_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rerun itself only logs that, and tries no further write."""
+    monkeypatch.setattr(rerun_sink, "LOOK_S", 0.0)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    sink = RerunSink(RecorderOptions(rrd=tmp_path / "full.rrd"))
+    behind = BackgroundSink(sink)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    try:
+        deadline = time.monotonic() + 60.0
+        messages = itertools.cycle(Site("s", seconds=1.0).messages())
+        while not behind.problem and time.monotonic() < deadline:
+            behind.write(next(messages))
+        behind.close()  # raises nothing: the other sinks are to be closed, too
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert behind.problem.startswith(f"rrd: {tmp_path / 'full.rrd'}: a write failed")
 
 
 def test_a_live_viewer_and_a_file_at_once(start_recorder: Callable[..., Any], tmp_path: Path) -> None:

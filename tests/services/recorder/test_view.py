@@ -198,3 +198,14 @@ def test_the_viewer_is_served_on_this_machine_only_and_ends_with_the_command(
         assert process.wait(PATIENCE_S) == 0
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(link.group(1), timeout=PATIENCE_S)
+
+
+def test_two_sites_are_not_drawn_over_each_other(tmp_path: Path) -> None:
+    path = tmp_path / "two.mcap"
+    with RecordingWriter(path) as writer:
+        for site in "ab":
+            writer.write(next(iter(Site(site, seconds=1.0).messages())), 1)
+    result = view(path, "--rrd", tmp_path / "two.rrd", "--no-open")
+    assert result.returncode == 2
+    assert "two.mcap: holds the sites a, b: give the files of one" in result.stderr
+    assert list(tmp_path.iterdir()) == [path]

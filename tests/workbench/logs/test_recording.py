@@ -209,3 +209,10 @@ def test_a_recorders_folder_of_files_is_one_log(tmp_path: Path) -> None:
     assert log.format == "Eigenscan recording"
     assert log.progress == 1.0
     assert not log.counters["truncated_file"]
+
+
+def test_robots_of_one_name_at_two_sites_are_not_mixed(tmp_path: Path) -> None:
+    sites = [raw_scan(LogOptions(site=site), "front", S, (0, 0, 0), ranges=[1.0] * 9) for site in "ab"]
+    path = record(tmp_path / "two.mcap", sites)
+    with pytest.raises(LogError, match=r"two\.mcap: holds a robot of each of the sites a, b: give the files"):
+        keys(path)

@@ -142,6 +142,21 @@ def test_one_changed_bit_is_shown_with_its_path_stamp_and_both_values(
     assert eigenscan(*command, "--ignore", "pose.pose.y").code == 1
 
 
+def test_text_of_a_recording_does_not_command_the_terminal(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    """Nor does it make results that no reader of XML takes."""
+    pose = only(run.messages, POSE)[40]
+    messages = swap(run.messages, pose, with_message(pose, frame_id="\x1b[2Jm\x00p"))
+    word = Timed(messages[0].time, health(json.dumps({"robot": "*", "instance": "t", "gone\x1b[2J": 1})))
+    path = run.write(tmp_path / "a.mcap", [word, *messages])
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare", "--rrd", tmp_path / "a.rrd")
+    assert ended.code == 1
+    assert "?[2Jm?p" in ended.out
+    assert "without gone?[2J, which this version does not know" in ended.out
+    assert not set(ended.out + ended.err) & {"\x1b", "\x00"}
+
+
 def test_both_sides_of_a_difference_are_drawn_on_the_map(
     run: Run, eigenscan: Command, tmp_path: Path
 ) -> None:
@@ -166,6 +181,40 @@ def test_both_sides_of_a_difference_are_drawn_on_the_map(
     assert apart.pop(pose.envelope.stamp) == pytest.approx(2.0)
     assert apart
     assert set(apart.values()) == {0.0}
+
+
+def test_a_robot_with_another_clock_does_not_end_the_picture(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    """Nor does the list of another projector replace the first one's."""
+    listed = only(run.messages, HYPOTHESES)[4]
+    log_likelihood = listed.envelope.open(Hypotheses).hypotheses[0].log_likelihood
+    other = with_message(listed)
+    other.envelope.open(Hypotheses).hypotheses[0].log_likelihood = log_likelihood - 1.0
+    aliases = [
+        Timed(timed.time, replace(timed.envelope, address={**timed.envelope.address, "projector": "second"}))
+        for timed in only(run.messages, HYPOTHESES, OBSTACLES)
+    ]
+    ahead = [
+        Timed(
+            timed.time,
+            Envelope(
+                SCAN,
+                {**timed.envelope.address, "robot": "ahead"},
+                changed(timed.envelope.message, timestamp__seconds=timed.envelope.stamp // 10**9 + 60),
+            ),
+        )
+        for timed in only(run.messages, SCAN)[:1]
+    ]
+    messages = [*ahead, *swap(run.messages, listed, other), *aliases]
+    path = run.write(tmp_path / "a.mcap", sorted(messages, key=lambda one: one.time))
+    ended = eigenscan("replay", path, "--service", "projector", "--compare")
+    assert ended.code == 1, ended.out + ended.err
+    chunks = RrdReader(str(tmp_path / "a.projector.rrd")).stream()
+    drawn = {chunk.entity_path for chunk in chunks}
+    lidar, projector = (listed.envelope.address[name] for name in ("lidar", "projector"))
+    for name in (projector, "second"):
+        assert f"/world/robot/recorded/hypotheses/{lidar}/{name}" in drawn
 
 
 @pytest.mark.parametrize("target", ["/dev/full", "/proc/a.rrd"])
@@ -367,6 +416,40 @@ def test_what_the_recorder_missed_is_noted(run: Run, eigenscan: Command, tmp_pat
         assert noted is is_noted, ended.out
 
 
+def test_another_robots_messages_do_not_hide_what_the_recorder_missed(
+    run: Run, eigenscan: Command, tmp_path: Path
+) -> None:
+    inputs = only(run.messages, ODOMETRY)
+    count = len(inputs)
+    others = [
+        Timed(timed.time, replace(timed.envelope, address={**timed.envelope.address, "robot": "other"}))
+        for timed in inputs
+    ]
+    text = json.dumps({"robot": "robot", "instance": "t"})
+    reported = Timed(run.messages[-1].time, health(text, heard_odometry=count + 5))
+    path = run.write(
+        tmp_path / "a.mcap", sorted([*run.messages, *others, reported], key=lambda one: one.time)
+    )
+    ended = eigenscan("replay", path, "--service", "tracker", "--compare")
+    assert f"note: tracker t had received {count + 5} odometry, the recording holds {count}" in ended.out
+
+
+def test_what_the_recorder_reports_as_lost_is_noted(run: Run, eigenscan: Command, tmp_path: Path) -> None:
+    """What it lost before, in an earlier file, is not."""
+    times = [run.messages[0].time, run.messages[len(run.messages) // 2].time, run.messages[-1].time]
+    words = [
+        Timed(time, Envelope(HEALTH, {"site": "site", "service": "recorder", "instance": "rec"}, message))
+        for time, lost in zip(times, (20, 20, 27), strict=True)
+        for message in [Health(service="recorder", instance="rec", counters={"mcap_lost": lost})]
+    ]
+    for number, stated in ((2, False), (3, True)):
+        messages = sorted([*run.messages, *words[:number]], key=lambda one: one.time)
+        path = run.write(tmp_path / f"{number}.mcap", messages)
+        ended = eigenscan("replay", path, "--service", "tracker", "--compare")
+        assert ("note: recorder rec lost 7 messages: they cannot be replayed" in ended.out) is stated
+        assert ("note: recorder" in ended.out) is stated
+
+
 @pytest.mark.parametrize("group", ["robot", "r*t,another"])
 def test_an_instance_receives_only_its_robots(
     run: Run, eigenscan: Command, tmp_path: Path, group: str
@@ -411,6 +494,11 @@ def test_what_is_published_now_can_be_kept(
     published = {one.channel for one in other}
     taken = {ODOMETRY, SCAN_MOTION, HYPOTHESES, MODEL_SET}
     assert {record.envelope.channel for record in read(out)} == taken | published
+    assert all(
+        record.publish_time == record.envelope.stamp
+        for record in read(out)
+        if record.envelope.channel is POSE
+    )
 
 
 def test_a_file_that_was_cut_is_replayed_as_far_as_it_goes(

@@ -88,6 +88,7 @@ def play(
     """Publish a recording on Zenoh: raw scans and odometry, or what --all and --only select.
 
     In a terminal: space pauses, arrows seek 5 s or a minute. A dot plays one message, q ends.
+    Where no message came for over 10 minutes, it goes on at the next one.
 
     \b
     Examples:

@@ -47,7 +47,7 @@ def repair(
         "it breaks off" if found.cut else "",
         f"{found.beyond} bytes after its end, left out: another recording?" if found.beyond else "",
     ]
-    words = ", ".join(part for part in lost if part) or "its index was missing"
+    words = ", ".join(part for part in lost if part) or "its index was missing or damaged"
     if wants_words(json_file):
         typer.echo(f"{target}: {found.messages} messages on {len(found.channels)} keys ({words})")
     figures = {

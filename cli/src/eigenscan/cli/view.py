@@ -98,6 +98,8 @@ def _draw(recording: Path, at: Moment, to: Moment | None, settings: RecorderOpti
     found = contents(recording)
     if not found.counts:
         raise UsageError(f"{recording}: holds no message of ours: give a file that eigenscan wrote")
+    if len(found.sites) > 1:
+        raise UsageError(f"{recording}: holds the sites {', '.join(found.sites)}: give the files of one")
     begin, end = found.stretch(at.after(found.begin), to.after(found.begin) if to else None)
     if begin > found.end:
         raise UsageError(f"--at: {recording} is from {span(found.begin, found.end)}")

@@ -5,15 +5,17 @@ from __future__ import annotations
 import mmap
 import re
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import IO, cast
 
 from eigenscan.runtime.recording import DAMAGE, PROFILE, RecordingError, WholeReads, message_count
-from eigenscan.runtime.recording.files import refuse_bomb
+from eigenscan.runtime.recording.files import is_indexed, opened, refuse_bomb, refuse_other_chunks
 from eigenscan.schemas.whole import whole
 from mcap.exceptions import EndOfFile, InvalidMagic
+from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
@@ -88,14 +90,23 @@ def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> S
 
 
 def is_sound(path: Path, moved: Moved = lambda _bytes: None) -> bool:
-    """Whether a file is readable to its proper end. Raises RecordingError if it is no MCAP."""
+    """Whether a file is readable to its proper end, with a sound index.
+
+    Raises RecordingError if it is no MCAP.
+    """
     try:
         found = Salvage(path.stat().st_size)
         for _ in _records(path, found, moved):
             pass
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    return not (found.cut or found.breaks or found.lost_chunks or found.beyond)
+    if found.cut or found.breaks or found.lost_chunks or found.beyond:
+        return False
+    with suppress(RecordingError), opened(path) as file:
+        if is_indexed(file):
+            refuse_other_chunks(file, make_reader(file))
+            return True
+    return False
 
 
 def _records(path: Path, found: Salvage, moved: Moved) -> Iterator[McapRecord]:

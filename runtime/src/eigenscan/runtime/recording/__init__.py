@@ -13,7 +13,7 @@ from eigenscan.runtime.recording.contents import (
 )
 from eigenscan.runtime.recording.files import DAMAGE, REPAIRED, RecordingError, WholeReads, parts
 from eigenscan.runtime.recording.reading import Record, read
-from eigenscan.runtime.recording.writing import PROFILE, RecordingWriter, descriptors
+from eigenscan.runtime.recording.writing import PROFILE, RecordingWriter, descriptors, stamp_of
 
 __all__ = [
     "DAMAGE",
@@ -35,4 +35,5 @@ __all__ = [
     "parts",
     "read",
     "read_metadata",
+    "stamp_of",
 ]

@@ -35,6 +35,11 @@ class Contents:
         """Number of all messages."""
         return self.counts.total() + self.foreign.total()
 
+    @property
+    def sites(self) -> list[str]:
+        """The sites of its keys."""
+        return sorted({found[1]["site"] for key in self.counts if (found := find(key))})
+
     def keys_of(self, channel: Channel) -> list[str]:
         """The keys of one channel."""
         return [key for key in self.counts if channel.parse(key)]

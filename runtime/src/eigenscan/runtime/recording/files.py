@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import struct
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -45,8 +46,12 @@ MOST_CHUNK_BYTES = 2**26
 """Inflated size that any chunk may have. The recorder's chunks have 256 KiB, or one message."""
 MOST_CHUNK_TIMES = 1000
 """Times its own size that a larger chunk may inflate to. A large site's map inflates some hundred times."""
+BLOCK_BYTES = 2**20
+"""Bytes of a file that are read at a time."""
 _CHUNK, _CHUNK_HEAD = 6, struct.Struct("<QQQII")
 _RECORD_HEAD = struct.Struct("<BQ")
+_FOOTER = struct.Struct("<BQQQI8s")
+"""With its head and the magic behind it: opcode, length, starts of summary and offsets, checksum."""
 
 
 class RecordingError(ValueError):
@@ -146,6 +151,8 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
         ) from error
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}: check the path") from error
+    except ContractError as error:
+        raise RecordingError(f"{path}: {error}: read it with the release that wrote it") from error
     except DAMAGE as error:
         raise RecordingError(
             f"{path}: is damaged ({error}): eigenscan repair {shlex.quote(str(path))} saves what can be read"
@@ -165,15 +172,29 @@ def _refuse_others(path: Path, file: IO[bytes]) -> None:
 
 
 def is_indexed(file: IO[bytes]) -> bool:
-    """Whether the file ends as an MCAP does. Raises InvalidMagic if it does not start as one."""
+    """Whether the file ends as an MCAP does, with a sound summary. Raises InvalidMagic for another start."""
     start = file.read(len(MCAP0_MAGIC))
     if start != MCAP0_MAGIC:
         raise InvalidMagic(start)
-    rest = file.seek(0, os.SEEK_END) - len(MCAP0_MAGIC)
-    file.seek(-min(rest, len(MCAP0_MAGIC)), os.SEEK_END)
+    size = file.seek(0, os.SEEK_END)
+    file.seek(-min(size, _FOOTER.size), os.SEEK_END)
     end = file.read()
+    is_sound = end.endswith(MCAP0_MAGIC) and size >= 2 * len(MCAP0_MAGIC)
+    if is_sound and len(end) == _FOOTER.size:
+        _, _, begins, _, checksum, _ = _FOOTER.unpack(end)
+        is_sound = not (checksum and begins) or checksum == _checksum(file, begins, size)
     file.seek(0)
-    return end == MCAP0_MAGIC
+    return is_sound
+
+
+def _checksum(file: IO[bytes], begins: int, size: int) -> int:
+    """Of the summary that begins there, up to the footer's own checksum (specification, Footer)."""
+    left, found = size - len(MCAP0_MAGIC) - 4 - begins, 0
+    file.seek(min(begins, size))
+    while left > 0:
+        block = file.read(min(left, BLOCK_BYTES))
+        left, found = left - len(block), zlib.crc32(block, found)
+    return found
 
 
 def messages(file: IO[bytes], begin: int = 0, early: Iterable[str] = ()) -> Iterator[Raw]:
@@ -186,16 +207,17 @@ def messages(file: IO[bytes], begin: int = 0, early: Iterable[str] = ()) -> Iter
     reader = _indexed(file)
     if reader is None:
         whole = cast(IO[bytes], WholeReads(file))
-        with suppress(EndOfFile):
-            yield from NonSeekingReader(whole, validate_crcs=True).iter_messages(log_time_order=False)
+        try:
+            with suppress(EndOfFile):
+                yield from NonSeekingReader(whole, validate_crcs=True).iter_messages(log_time_order=False)
+        except InvalidMagic as error:  # its start was looked at
+            raise ValueError("its end is not that of an MCAP") from error
         return
     topics = list(early)
     if topics and begin:
         yield from reader.iter_messages(topics=topics, ending_before=begin)
     yield from reader.iter_messages(starting_at=begin)
-    summary = reader.get_summary()
-    for index in summary.chunk_indexes if summary else ():
-        _refuse_other_chunk(file, index)
+    refuse_other_chunks(file, reader)
 
 
 def _indexed(file: IO[bytes]) -> McapReader | None:
@@ -210,6 +232,13 @@ def _indexed(file: IO[bytes]) -> McapReader | None:
     if found and found.statistics and found.statistics.chunk_count != len(found.chunk_indexes):
         return None
     return reader if found else None
+
+
+def refuse_other_chunks(file: IO[bytes], reader: McapReader) -> None:
+    """Raises ValueError where the file does not hold the chunks that its index names."""
+    summary = reader.get_summary()
+    for index in summary.chunk_indexes if summary else ():
+        _refuse_other_chunk(file, index)
 
 
 def _refuse_other_chunk(file: IO[bytes], index: ChunkIndex) -> None:

@@ -11,16 +11,20 @@ from pathlib import Path
 from typing import IO, Any
 
 from eigenscan.schemas.channels import CONTRACT_VERSION, Channel
-from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.wire import encode
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
+from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType, Writer
 
 PROFILE = "eigenscan"
 CHUNK_BYTES = 256 * 1024
 MOST_CHANNELS = 65_535
 """MCAP numbers a file's channels with 16 bits, from 1 on (specification, Channel record)."""
+
+LATEST = 2**63 - 1
+"""Last instant that tools can show, ns since the epoch."""
 
 
 class RecordingWriter:
@@ -51,9 +55,13 @@ class RecordingWriter:
         self.close()
 
     def write(self, envelope: Envelope, log_time: int, publish_time: int | None = None) -> None:
-        """Adds a message, as it was received. Times are ns since the epoch; `publish_time`: as `log_time`."""
+        """Adds a message, as it was received. Times are ns since the epoch.
+
+        `publish_time`: the message's own stamp, or `log_time` where it has none.
+        """
         payload = envelope.payload or encode(envelope.message)
-        self.write_bytes(envelope.channel, envelope.key, payload, log_time, publish_time)
+        published = stamp_of(envelope) if publish_time is None else publish_time
+        self.write_bytes(envelope.channel, envelope.key, payload, log_time, published or log_time)
 
     def write_bytes(
         self,
@@ -63,7 +71,7 @@ class RecordingWriter:
         log_time: int,
         publish_time: int | None = None,
     ) -> None:
-        """Adds a message that is already encoded."""
+        """Adds a message that is already encoded; `publish_time`: as `log_time`."""
         number = self._sequence.get(key, 0)
         self._sequence[key] = number + 1
         self._writer.add_message(
@@ -151,6 +159,12 @@ def _identity(path: Path) -> tuple[int, int] | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     return found.st_dev, found.st_ino
+
+
+def stamp_of(envelope: Envelope) -> int:
+    """The message's own stamp, ns since the epoch; 0 if it has none."""
+    stamp = getattr(envelope.message, "timestamp", None)
+    return min(max(nanoseconds(stamp), 0), LATEST) if isinstance(stamp, Timestamp) else 0
 
 
 def descriptors(message: type[Message]) -> bytes:

@@ -27,7 +27,7 @@ class BackgroundSink(Sink):
         self._news = threading.Condition()
         self._end_at: float | None = None
         self._counts: Counter[str] = Counter(undrawn=0, undrawable=0)
-        self._known: set[type[Exception]] = set()
+        self._known: set[type[BaseException]] = set()
         self._thread = threading.Thread(target=self._run, name="background sink", daemon=True)
         self._thread.start()
 
@@ -67,7 +67,10 @@ class BackgroundSink(Sink):
         self._thread.join(2 * DRAIN_S)
         self._counts["undrawn"] += len(self._waiting) + len(self._latched)
         if not self._thread.is_alive():
-            self._sink.close()
+            try:
+                self._sink.close()
+            except Exception as error:  # the other sinks are to be closed, too
+                logger().error("sink_not_closed", exc_info=error)
 
     def _run(self) -> None:
         while True:
@@ -76,7 +79,7 @@ class BackgroundSink(Sink):
                 return
             try:
                 self._sink.write(received)
-            except Exception as error:
+            except BaseException as error:  # a panic in Rerun's Rust is no Exception
                 self._counts["undrawable"] += 1
                 if type(error) not in self._known:
                     self._known.add(type(error))

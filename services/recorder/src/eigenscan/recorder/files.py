@@ -63,6 +63,8 @@ class Files:
     target: Path
     site: str
     begun: list[Path] = field(default_factory=list)
+    stuck: list[str] = field(default_factory=list)
+    """Files that were to be deleted and cannot be, and why."""
 
     def begin(self, now: int) -> Path:
         """A new empty file, named by the time `now`, ns since the epoch. Raises OSError.
@@ -101,16 +103,24 @@ class Files:
     def make_room(self, total_bytes: int) -> int:
         """Deletes the oldest files until all take at most `total_bytes`; how many.
 
-        None that a recorder still writes. Other recorders may delete some at the same time.
+        None that a recorder still writes. Those that cannot be deleted are `stuck`, and the next ones go.
+        Other recorders may delete some at the same time.
         """
         files = self.own()
+        self.stuck.clear()
         excess, deleted = sum(map(_size, files)) - total_bytes, 0
         for path in files:
             if excess <= 0:
                 break
-            if not _is_written(path):
-                excess -= _size(path)
+            size = _size(path)
+            if _is_written(path):
+                continue
+            try:
                 path.unlink(missing_ok=True)
+            except OSError as error:
+                self.stuck.append(f"{path}: {error.strerror}")
+            else:
+                excess -= size
                 deleted += 1
         return deleted
 

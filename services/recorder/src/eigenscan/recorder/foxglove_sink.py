@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 import foxglove
 from eigenscan.geometry.pose import from_message, to_pose3
 from eigenscan.recorder.core import Sink
-from eigenscan.recorder.web_viewer import free_port
+from eigenscan.recorder.web_viewer import free_port, seen_at
 from eigenscan.runtime.recording import descriptors
 from eigenscan.schemas.envelope import Envelope, nanoseconds
 from eigenscan.schemas.scan_pb2 import Scan
@@ -40,7 +40,7 @@ class FoxgloveSink(Sink):
             context=self._context,
             server_listener=_Subscriptions(self),
         )
-        self.url = f"ws://{host}:{self._server.port}"
+        self.url = f"ws://{seen_at(host)}:{self._server.port}"
 
     @property
     def counters(self) -> Mapping[str, int]:

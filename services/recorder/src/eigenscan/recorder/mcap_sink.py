@@ -11,10 +11,9 @@ from eigenscan.recorder.about import About
 from eigenscan.recorder.core import Sink
 from eigenscan.recorder.files import Files, Limits
 from eigenscan.runtime.logs import logger
-from eigenscan.runtime.recording import STEP_NS, RecordingWriter
-from eigenscan.schemas.envelope import Envelope, nanoseconds
+from eigenscan.runtime.recording import STEP_NS, RecordingWriter, stamp_of
+from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.wire import encode
-from google.protobuf.timestamp_pb2 import Timestamp
 
 RETRY_S = 10.0
 """After a failed write a new file is tried this often."""
@@ -24,9 +23,6 @@ SLOW_S = 0.1
 
 SHOWN_S = 60.0
 """How long health reports that the file was deleted."""
-
-LATEST = 2**63 - 1
-"""Last instant that tools can show, ns since the epoch."""
 
 
 class McapSink(Sink):
@@ -108,7 +104,7 @@ class McapSink(Sink):
                 self._settle("mcap_lost")
             else:
                 payload = received.payload or encode(received.message)
-                writer.write_bytes(received.channel, key, payload, now, _published(received) or now)
+                writer.write_bytes(received.channel, key, payload, now, stamp_of(received) or now)
                 self._flush(writer, now)
         except Exception as error:  # for any error, the next messages must not be lost too
             self._fail(error, now)
@@ -209,12 +205,16 @@ class McapSink(Sink):
         """The next file; deleted again if there is no room for the latched messages."""
         if self._limits.total_bytes is not None:
             self._counts["mcap_deleted"] += self._files.make_room(self._limits.total_bytes)
+            for file in self._files.stuck:
+                logger().warning(
+                    "mcap_not_deleted", file=file, hint="delete it, or the next files go instead"
+                )
         path = self._files.begin(now)
         writer: RecordingWriter | None = None
         try:
             writer = RecordingWriter(path, self._metadata)
             for held in self._latched.values():
-                writer.write(held, now, _published(held) or now)
+                writer.write(held, now)
             writer.flush()
         except Exception as error:
             if writer is not None:
@@ -228,9 +228,3 @@ class McapSink(Sink):
         self._is_gone = False
         self._counts["mcap_files"] += 1
         return writer
-
-
-def _published(received: Envelope) -> int:
-    """The message's own stamp, ns since the epoch; 0 if it has none."""
-    stamp = getattr(received.message, "timestamp", None)
-    return min(max(nanoseconds(stamp), 0), LATEST) if isinstance(stamp, Timestamp) else 0

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from pathlib import Path
 
 import rerun as rr
 from eigenscan.recorder.core import Sink
@@ -17,6 +19,10 @@ APPLICATION = "eigenscan"
 FLUSH_S, FILE_S = 0.3, 60.0
 """Time to send data to a live viewer at the end, s, whose rest is dropped; and to a file alone, which is
 waited for: on a busy machine or a slow disk that takes longer."""
+LOOK_S = 5.0
+"""Between two looks whether the file is written, s."""
+WRITER_ENDED = "File-writer thread shut down"
+"""What Rerun's flush reports after a write to the file failed; it tries none again."""
 
 
 class RerunSink(Sink):
@@ -28,6 +34,7 @@ class RerunSink(Sink):
         self._closing = ExitStack()
         self._stream = rr.RecordingStream(APPLICATION)
         self._viewer: Viewer | None = None
+        self._rrd, self._looked_at, self._ended = settings.rrd, time.monotonic(), ""
         sinks: list[rr.FileSink | rr.GrpcServerSink] = []
         if settings.rrd is not None:
             settings.rrd.parent.mkdir(parents=True, exist_ok=True)
@@ -52,8 +59,8 @@ class RerunSink(Sink):
 
     @property
     def problem(self) -> str:
-        """That the live viewer's server has ended."""
-        return self._viewer.problem if self._viewer else ""
+        """That the file is not written any more, or the live viewer's server has ended."""
+        return self._ended or (self._viewer.problem if self._viewer else "")
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -64,6 +71,8 @@ class RerunSink(Sink):
         """Draws the message, if it has a picture."""
         self._picture.draw(received)
         self._counts["drawn"] += 1
+        if self._rrd is not None and time.monotonic() - self._looked_at > LOOK_S:
+            self._look(self._rrd)
 
     def flush(self) -> None:
         """Hands over all that was drawn."""
@@ -79,6 +88,14 @@ class RerunSink(Sink):
         self.flush()
         self._stream.disconnect()
         self._closing.close()
+
+    def _look(self, rrd: Path) -> None:
+        self._looked_at = time.monotonic()
+        try:
+            self._stream.flush(timeout_sec=FLUSH_S)
+        except RuntimeError as error:  # of a slow disk, too
+            if WRITER_ENDED in str(error):
+                self._ended = f"rrd: {rrd}: a write failed, and it ends there: free space, then start again"
 
     def _serve(self, settings: RecorderOptions, page_port: int) -> rr.GrpcServerSink:
         host = settings.viewer_host

@@ -39,6 +39,11 @@ def free_port(field: str, host: str, port: int) -> int:
         return int(probe.getsockname()[1])
 
 
+def seen_at(host: str) -> str:
+    """The address at which this machine's browser finds what is served on `host`."""
+    return "127.0.0.1" if host == "0.0.0.0" else host
+
+
 @dataclass(frozen=True)
 class Viewer:
     """A viewer's server. `link`: to the picture."""
@@ -60,8 +65,7 @@ def serve_viewer(host: str, page_port: int, data_port: int, picture: Path | None
     The page takes its data from `data_port` of the same host: from another server there, or from `picture`, a
     .rrd file, which is then served there.
     """
-    seen_at = "127.0.0.1" if host == "0.0.0.0" else host
-    source = f"rerun+http://{seen_at}:{data_port}/proxy"
+    source = f"rerun+http://{seen_at(host)}:{data_port}/proxy"
     served = ["--port", str(data_port), str(picture.resolve())] if picture else [source]
     with TemporaryDirectory(prefix="eigenscan-viewer-") as home:
         # an own home folder: no usage data is sent, and a read-only container works
@@ -75,7 +79,7 @@ def serve_viewer(host: str, page_port: int, data_port: int, picture: Path | None
             stderr=subprocess.DEVNULL,
         )
         try:
-            yield Viewer(f"http://{seen_at}:{page_port}/?url={quote(source, safe='')}", child)
+            yield Viewer(f"http://{seen_at(host)}:{page_port}/?url={quote(source, safe='')}", child)
         finally:
             child.terminate()
             try:

@@ -52,12 +52,14 @@ class RecordingLog:
         self.progress = 1.0
 
     def _robot(self) -> str:
-        """The robot to take. Raises LogError where it, or a lidar that is asked for, is not there."""
+        """The robot to take. Raises LogError where it, or a lidar that is asked for, is missing."""
         lidars: dict[str, set[str]] = {}
+        sites: dict[str, set[str]] = {}
         for record in self._records():
             if record.envelope.channel == SCAN_RAW:
                 address = record.envelope.address
                 lidars.setdefault(address["robot"], set()).add(address["lidar"])
+                sites.setdefault(address["robot"], set()).add(address["site"])
         if not lidars and self.damage:
             raise LogError(self.damage)
         if not lidars:
@@ -68,6 +70,11 @@ class RecordingLog:
                 names = ", ".join(sorted(lidars))
                 raise LogError(f"{self.path}: holds scans of {names}: choose one as robot")
             robot = next(iter(lidars))
+        if len(sites[robot]) > 1:
+            names = ", ".join(sorted(sites[robot]))
+            raise LogError(
+                f"{self.path}: holds a {robot} of each of the sites {names}: give the files of one"
+            )
         missing = sorted(set(self._options.lidars) - lidars[robot])
         if missing:
             known = ", ".join(sorted(lidars[robot]))

@@ -13,6 +13,8 @@ from eigenscan.workbench.simulation.live import Metronome
 from eigenscan.workbench.simulation.stage import Timed
 
 LOOK_S = 0.1
+LONGEST_PAUSE_NS = 600_000_000_000
+"""Time without a message that is waited for, ns. In a longer one no recorder ran, or its clock was set."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,8 @@ class Player:
     def _play_from(self, begin: int) -> int | None:
         """Plays on from a time; where to go on, None at the end."""
         for timed in self._score.messages(begin):
+            if timed.time - self._at > LONGEST_PAUSE_NS:
+                self._start_again()
             while (rest := self._rest(timed)) is None or rest > 0.0 or self._owes_a_look():
                 command = self._controls.wait(rest)
                 if command is None:

@@ -67,6 +67,10 @@ def select(
         cut = "" if found.complete else ": it ends before the first whole chunk"
         raise UsageError(f"{file}: holds no message{cut}")
     keys = frozenset(_keys(found, only))
+    if not keys:
+        names = [channel.name for channel in CHANNELS if found.keys_of(channel)]
+        held = ", ".join(names) or "no channel of ours"
+        raise UsageError(f"{file}: holds nothing on {', '.join(only)}: it has {held}: choose with --only")
     robots = _robots(keys)
     chosen = robot if robot in robots else None
     if robot is not None and chosen is None and len(robots) > 1:

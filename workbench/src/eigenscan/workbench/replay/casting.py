@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.printable import printable
 from eigenscan.runtime.settings import ServiceSettings, explained, nearest
 from eigenscan.schemas.channels import Channel
 from eigenscan.schemas.envelope import Condition, Core, Envelope
@@ -130,7 +131,7 @@ def _recorded(survey: Survey, service: Service, text: str) -> tuple[dict[str, ob
     if not isinstance(values, dict):
         raise UsageError(f"{survey.path}: settings of {service.name} are no JSON object")
     unknown = sorted(values.keys() - service.options.model_fields.keys())
-    lost = f" without {', '.join(unknown)}, which this version does not know" if unknown else ""
+    lost = f" without {printable(', '.join(unknown))}, which this version does not know" if unknown else ""
     # files of earlier versions also hold options of the process
     answering = service.options.answering()
     return {name: values[name] for name in values if name in answering}, f"settings as recorded{lost}"

@@ -66,6 +66,31 @@ class Finding:
     fields: tuple[Difference, ...]
 
 
+class _Order:
+    """The stamps of one key on both sides, from the first on that is not the same."""
+
+    def __init__(self) -> None:
+        self._same = 0
+        self._rest: dict[Side, deque[int]] = {Side.RECORDED: deque(), Side.REPLAYED: deque()}
+
+    def take(self, side: Side, stamp: int) -> None:
+        """Takes the next stamp of a side."""
+        self._rest[side].append(stamp)
+        recorded, replayed = self._rest.values()
+        while recorded and replayed and recorded[0] == replayed[0]:
+            recorded.popleft()
+            replayed.popleft()
+            self._same += 1
+
+    @property
+    def difference(self) -> tuple[int, int, int] | None:
+        """Place, recorded and replayed stamp where the same stamps first come in another order."""
+        recorded, replayed = self._rest.values()
+        if not recorded or sorted(recorded) != sorted(replayed):  # those of one side are counted already
+            return None
+        return self._same, recorded[0], replayed[0]
+
+
 class Comparison:
     """Takes events in the order of each side; holds only those that wait for their counterpart."""
 
@@ -77,7 +102,7 @@ class Comparison:
         self.counts = {channel: Counts() for channel in channels}
         self._channels, self._spans = list(channels), spans
         self._waiting: dict[tuple[str, int], deque[Event]] = {}
-        self._orders: dict[str, dict[Side, list[int]]] = defaultdict(lambda: {side: [] for side in Side})
+        self._orders: dict[str, _Order] = defaultdict(_Order)
         self._first: Finding | None = None
 
     def take(self, event: Event) -> None:
@@ -97,7 +122,7 @@ class Comparison:
         if not waiting:
             del self._waiting[key, stamp]
         if not self._is_outside(key, stamp):
-            self._orders[key][event.side].append(stamp)
+            self._orders[key].take(event.side, stamp)
 
     def finish(self) -> None:
         """Judges messages without a counterpart, and the order. Call it once, at the end."""
@@ -105,8 +130,8 @@ class Comparison:
             for event in waiting:
                 self._judge_alone(key, stamp, event)
         self._waiting.clear()
-        for key, orders in self._orders.items():
-            self._judge_order(key, orders[Side.RECORDED], orders[Side.REPLAYED])
+        for key, order in self._orders.items():
+            self._judge_order(key, order)
 
     @property
     def first(self) -> Finding | None:
@@ -177,15 +202,14 @@ class Comparison:
             found = Difference("(message)", "missing", "published")
         self._note(Finding(stamp, channel, key, (found,)))
 
-    def _judge_order(self, key: str, recorded: list[int], replayed: list[int]) -> None:
-        """Judges stamps that both sides have equally often; others are counted already."""
-        if recorded == replayed or sorted(recorded) != sorted(replayed):
+    def _judge_order(self, key: str, order: _Order) -> None:
+        if order.difference is None:
             return
-        place = next(n for n, (a, b) in enumerate(zip(recorded, replayed, strict=True)) if a != b)
+        place, recorded, replayed = order.difference
         channel = next(channel for channel in self._channels if channel.parse(key))
         self.counts[channel].different += 1
-        found = Difference(f"(order)[{place}]", recorded[place], replayed[place])
-        self._note(Finding(recorded[place], channel, key, (found,)))
+        found = Difference(f"(order)[{place}]", recorded, replayed)
+        self._note(Finding(recorded, channel, key, (found,)))
 
     def _is_ignored(self, channel: Channel, one: Difference) -> bool:
         name = f"{channel.name}.{one.name}"

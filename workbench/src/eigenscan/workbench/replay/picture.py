@@ -19,6 +19,7 @@ from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
 from eigenscan.schemas.tracking_pb2 import PoseEstimate, Tracks
+from eigenscan.workbench.replay.comparison import Finding
 from eigenscan.workbench.replay.playing import Event, Side
 
 AROUND_NS = 10_000_000_000
@@ -30,8 +31,10 @@ NAMES = {Side.RECORDED: "recorded blue", Side.REPLAYED: "replayed orange"}
 POSE_M, HYPOTHESIS_M = 1.4, 0.7
 
 
-def draw(target: Path, events: Iterable[Event], latched: Iterable[Envelope], first: int, report: str) -> None:
-    """Draws both sides within AROUND_NS of the stamp `first`, ns. Raises OSError for the file."""
+def draw(
+    target: Path, events: Iterable[Event], latched: Iterable[Envelope], first: Finding, report: str
+) -> None:
+    """Draws both sides within AROUND_NS of the difference `first`. Raises OSError for the file."""
     target.open("wb").close()  # Rerun itself only logs that it cannot write
     stream = rr.RecordingStream("eigenscan replay")
     stream.save(str(target))
@@ -44,8 +47,8 @@ def draw(target: Path, events: Iterable[Event], latched: Iterable[Envelope], fir
     for event in events:
         if event.envelope.channel.qos.latched:
             continue
-        away = event.envelope.stamp - first
-        if away > 2 * AROUND_NS:
+        away = event.envelope.stamp - first.stamp
+        if away > 2 * AROUND_NS and event.envelope.key == first.key:  # others may have another clock
             break
         if abs(away) <= AROUND_NS and event.side in COLOURS:
             picture.draw(event.side, event.envelope)
@@ -79,10 +82,11 @@ class _Picture:
         self.canvas.draw(published.stamp, place, rr.Points3D(points, colors=[COLOURS[side]], radii=radius))
 
     def _draw_hypotheses(self, side: Side, published: Envelope) -> None:
+        address = published.address
         listed = [from_message(one.pose) for one in published.open(Hypotheses).hypotheses]
         poses = self.canvas.local(np.array(listed).reshape(-1, 3))
         strips = list(arrows(poses[are_places(poses)], HYPOTHESIS_M, 0.05))
-        self._draw_lines(side, published, f"hypotheses/{published.address['lidar']}", strips)
+        self._draw_lines(side, published, f"hypotheses/{address['lidar']}/{address['projector']}", strips)
 
     def _draw_tracks(self, side: Side, published: Envelope) -> None:
         ways = [

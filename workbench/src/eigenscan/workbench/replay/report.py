@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from eigenscan.runtime.printable import printable
 from eigenscan.workbench.replay.comparison import Comparison, Finding
 from eigenscan.workbench.replay.fields import Difference
 from eigenscan.workbench.replay.trial import Outcome
@@ -112,7 +113,7 @@ def _finding(finding: Finding) -> Iterator[str]:
 
 
 def _value(value: Any) -> str:
-    text = str(value)
+    text = printable(str(value))
     return text if len(text) <= WIDTH else text[: WIDTH - 3] + "..."
 
 

@@ -18,6 +18,7 @@ from eigenscan.runtime.recording import (
 )
 from eigenscan.schemas.channels import HEALTH, HYPOTHESES, SCAN, TRACKS, Channel
 from eigenscan.schemas.envelope import Envelope
+from eigenscan.schemas.group import holds
 from eigenscan.schemas.health_pb2 import Health
 from eigenscan.schemas.hypotheses_pb2 import SEARCH_LOCAL, Hypotheses
 from eigenscan.schemas.scan_pb2 import Scan
@@ -29,17 +30,22 @@ from eigenscan.workbench.replay.services import PARTS, published_by
 class Reported:
     """An instance's entries in its recorded health."""
 
+    is_known: bool = False
     version: str = ""
     settings: str = ""
     settings_changed: bool = False
     restarts: int = 0
     counters: dict[str, int] = field(default_factory=dict)
+    grown: Counter[str] = field(default_factory=Counter)
+    """How much each counter grew from its first word in the recording on."""
 
     def receive(self, health: Health) -> None:
         """Takes its next word."""
         received = {name: count for name, count in health.counters.items() if name != "waiting"}
         self.restarts += any(count > received.get(name, 0) for name, count in self.counters.items())
-        self.version, self.counters = health.package_version, received
+        if self.is_known:  # not its first word: that may tell of the time before the recording
+            self.grown.update({name: max(n - self.counters.get(name, 0), 0) for name, n in received.items()})
+        self.is_known, self.version, self.counters = True, health.package_version, received
         self.settings = self.settings or health.settings
         self.settings_changed |= health.settings not in ("", self.settings)
 
@@ -68,6 +74,8 @@ class Survey:
     end: int = 0
     """Log times of its first and last message, ns."""
     counts: Counter[Channel] = field(default_factory=Counter)
+    of_robots: Counter[tuple[Channel, str]] = field(default_factory=Counter)
+    """Messages by channel and robot."""
     latched: dict[str, Envelope] = field(default_factory=dict)
     """The first message of each latched key."""
     spans: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -84,6 +92,10 @@ class Survey:
     def seconds(self) -> float:
         """Seconds from the first message to the last."""
         return (self.end - self.begin) * 1e-9
+
+    def held(self, channel: Channel, robots: str) -> int:
+        """Messages on a channel for a group of robots."""
+        return sum(n for (of, robot), n in self.of_robots.items() if of is channel and holds(robots, robot))
 
     @property
     def lacking(self) -> str:
@@ -112,6 +124,8 @@ class Survey:
         if channel is HYPOTHESES:
             self.projectors.setdefault(envelope.address["projector"], set()).add(envelope.address["robot"])
         self.counts[channel] += 1
+        if "robot" in envelope.address:
+            self.of_robots[channel, envelope.address["robot"]] += 1
 
     def _look_back(self, envelope: Envelope) -> None:
         """Checks whether the first message on a key depends on messages before the recording."""

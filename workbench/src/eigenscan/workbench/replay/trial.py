@@ -93,7 +93,7 @@ def picture(trial: Trial, outcome: Outcome, report: str, target: Path) -> bool:
     instances = cast(survey, trial.services, trial.changes)
     events = _events(trial, survey, instances, lambda _time: None)
     try:
-        draw(target, events, trial.models or survey.latched.values(), first.stamp, report)
+        draw(target, events, trial.models or survey.latched.values(), first, report)
     except RuntimeError as error:  # Rerun's, of a full disk
         raise OSError(EIO, str(error), str(target)) from error
     return True
@@ -132,6 +132,13 @@ def _of_the_file(survey: Survey) -> Iterator[str]:
             f"the recorder's clock was set back at {survey.set_back / 1e9:.3f}: read in order of time, "
             "not of arrival, and answers may differ for it"
         )
+    for (service, name), reported in survey.reported.items():
+        lost = sum(n for what, n in reported.grown.items() if what.startswith(("mcap_lost", "dropped_")))
+        if service == "recorder" and lost:
+            yield (
+                f"recorder {name} lost {lost} messages: they cannot be replayed, "
+                "and answers may differ for it"
+            )
 
 
 def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
@@ -156,7 +163,7 @@ def _of_the_run(survey: Survey, instances: Sequence[Instance]) -> Iterator[str]:
         for each in instance.inputs:
             received, held = (
                 reported.counters.get(f"heard_{each.name}", 0) if reported else 0,
-                survey.counts[each],
+                survey.held(each, instance.robots),
             )
             if not each.qos.latched and received > held and survey.complete:
                 yield (

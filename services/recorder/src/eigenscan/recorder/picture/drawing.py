@@ -120,7 +120,7 @@ class Picture:
         self._drawn_by: dict[Channel, tuple[Draw, ...]] = {
             MAP: (self._draw_map,),
             MODEL: (self._floor.draw_region,),
-            MODEL_SET: (ModelsPicture(canvas).draw,),
+            MODEL_SET: (ModelsPicture(canvas, self._floor).draw,),
             RELOCATION: (RelocationPicture(canvas, brief=layout == "fleet").draw,),
             POSE: (robots.draw_pose, advice.receive_pose, board.receive_pose, self._plots.receive_pose),
             ADVICE: (advice.draw,),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
+
 import numpy as np
 import rerun as rr
 from eigenscan.geometry.gridmap import GridMap, MapError, from_message
@@ -30,6 +33,8 @@ class Floor:
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
         self.extent: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._early: dict[str, Callable[[], None]] = {}
+        """Draws again, by path, the outlines that came before a map."""
 
     def draw_map(self, received: Envelope) -> None:
         """The map as a texture at its scale. A grid of another form is left out."""
@@ -45,6 +50,8 @@ class Floor:
             self._canvas.start_from(corners.min(axis=0))
         corners = self._canvas.local(corners)
         self.extent = corners.min(axis=0), corners.max(axis=0)
+        while self._early:
+            self._early.popitem()[1]()
         self._draw_scale(self.extent[0], self.extent[1])
         cells, resolution = _shrunk(grid)
         x, y, theta = self._canvas.local(grid.origin)
@@ -87,14 +94,30 @@ class Floor:
     def draw_region(self, received: Envelope) -> None:
         """The region's outline."""
         model = received.open(RegionModel)
-        corners = min(len(model.outline_x), len(model.outline_y))
-        outline = self._canvas.local(np.column_stack([model.outline_x[:corners], model.outline_y[:corners]]))
-        if len(outline) < 3 or not is_place(outline):
+        self.draw_outline(f"world/regions/{model.region}", model.outline_x, model.outline_y, 0.75)
+
+    def draw_outline(
+        self, path: str, x: Sequence[float], y: Sequence[float], width: float, label: str | None = None
+    ) -> None:
+        """A closed line through corners, map frame, m; `width` in points. A later map moves it."""
+        corners = min(len(x), len(y))
+        outline = np.column_stack([x[:corners], y[:corners]])
+        if corners < 3:
             return
-        closed = np.concatenate([outline, outline[:1]])
+        if self.extent is None:  # the first map decides from where all is drawn
+            own_x, own_y = outline.T.tolist()  # not the message's: it holds a whole model
+            self._early[path] = partial(self.draw_outline, path, own_x, own_y, width, label)
+        outline = self._canvas.local(outline)
+        if not is_place(outline):
+            return
         self._canvas.fix(
-            f"world/regions/{model.region}",
-            rr.LineStrips3D([lift(closed, 0.01)], colors=[REGION], radii=rr.Radius.ui_points(0.75)),
+            path,
+            rr.LineStrips3D(
+                [lift(np.concatenate([outline, outline[:1]]), 0.01)],
+                colors=[REGION],
+                labels=None if label is None else [label],
+                radii=rr.Radius.ui_points(width),
+            ),
         )
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
 import rerun as rr
 from eigenscan.recorder.picture.canvas import Canvas
-from eigenscan.recorder.picture.palette import REGION
-from eigenscan.recorder.picture.shapes import is_place, lift
+from eigenscan.recorder.picture.floor import Floor
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.model_pb2 import ModelSet
 
@@ -17,8 +15,8 @@ LISTED = 200
 class ModelsPicture:
     """Draws model sets. A set without a stamp holds from the newest thing drawn on."""
 
-    def __init__(self, canvas: Canvas) -> None:
-        self._canvas = canvas
+    def __init__(self, canvas: Canvas, floor: Floor) -> None:
+        self._canvas, self._floor = canvas, floor
         self._version = ""
 
     def draw(self, received: Envelope) -> None:
@@ -26,19 +24,8 @@ class ModelsPicture:
         message = received.open(ModelSet)
         self._canvas.fix("models", rr.TextDocument(_page(message), media_type=rr.MediaType.MARKDOWN))
         for floor in message.floors:
-            corners = min(len(floor.outline_x), len(floor.outline_y))
-            outline = np.column_stack([floor.outline_x[:corners], floor.outline_y[:corners]])
-            if corners >= 3 and is_place(outline):
-                path = f"world/floors/{rr.escape_entity_path_part(floor.name or '-')}"
-                self._canvas.fix(
-                    path,
-                    rr.LineStrips3D(
-                        [lift(np.concatenate([outline, outline[:1]]), 0.01)],
-                        colors=[REGION],
-                        labels=[floor.name],
-                        radii=rr.Radius.ui_points(1.5),
-                    ),
-                )
+            path = f"world/floors/{rr.escape_entity_path_part(floor.name or '-')}"
+            self._floor.draw_outline(path, floor.outline_x, floor.outline_y, 1.5, floor.name)
         if message.version != self._version and self._canvas.newest:
             text = f"models {message.version[:12]}: {len(message.entries)} regions"
             level = rr.TextLogLevel.INFO
