@@ -12,7 +12,7 @@ from operator import attrgetter
 
 import numpy as np
 from eigenscan.geometry.circle import TURN, wrap
-from eigenscan.geometry.pose import compose, from_message
+from eigenscan.geometry.pose import FARTHEST_M, compose, from_message
 from eigenscan.projector.distinction import Lidar, expected_share, fitted_odds, odds, rays_of, walls_of
 from eigenscan.projector.ground import Ground, Move
 from eigenscan.projector.settings import ProjectorSettings
@@ -37,8 +37,6 @@ MOST_PLACES = 6
 """The most probable ones; with each more the ground that is free from all gets less."""
 SAME_M, SAME_RAD = 0.5, np.deg2rad(10.0)
 """Tracks nearer to each other are one place."""
-FARTHEST = 1e7
-"""m from the map's origin: beyond it a number is an overflow, not a place."""
 SEEN_NS = 1_000_000_000
 """Age of a lidar's last scan from which it is not reckoned with any more."""
 MOST_LIDARS = 4
@@ -79,7 +77,7 @@ class Places:
         likely = [track for track in message.tracks if 0.0 < track.probability <= 1.0]
         for track in nlargest(MOST_TRACKS, likely, key=attrgetter("probability")):
             pose = from_message(track.pose)
-            if not (np.abs(pose) < FARTHEST).all():
+            if not (np.abs(pose) < FARTHEST_M).all():
                 continue
             for i, (known, share, id_) in enumerate(found):
                 x, y, turn = pose - known

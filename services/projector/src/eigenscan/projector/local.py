@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from math import cos, hypot, isfinite, nan, radians, remainder, sin, tau
 
 import numpy as np
+from eigenscan.geometry.pose import FARTHEST_M
 from eigenscan.projector.candidates import Fitted
 from eigenscan.schemas.envelope import nanoseconds
 from eigenscan.schemas.geometry_pb2 import Pose2
@@ -26,8 +27,6 @@ LONGEST_NS = 500_000_000
 """Between two scans: over a longer time a velocity predicts no pose. Two scans of a lidar of 4 Hz."""
 WHOLE_NS = 2_000_000_000
 """Age of the last search of the whole map, from which its ordinary place is no measure any more."""
-FARTHEST = 1e7
-"""m from the map's origin: beyond it a number is an overflow, not a place."""
 PLACES = 16
 """At most of a request's: a request is no way to keep a projector busy."""
 KEPT = 16
@@ -134,7 +133,7 @@ def _predicted(poses: Iterable[Pose2], velocity: Pose2, seconds: float, mount: P
     for pose in poses:
         x, y, theta = _after(pose, step)
         x, y, theta = _after(Pose2(x=x, y=y, theta=theta), (mount.x, mount.y, mount.theta))
-        if abs(x) < FARTHEST and abs(y) < FARTHEST and isfinite(theta):
+        if abs(x) < FARTHEST_M and abs(y) < FARTHEST_M and isfinite(theta):
             places.append((x, y, theta))
     return np.array(places).reshape(-1, 3)
 

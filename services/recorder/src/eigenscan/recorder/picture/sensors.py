@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import rerun as rr
-from eigenscan.geometry.pose import from_message, transform
+from eigenscan.geometry.pose import FARTHEST_M, from_message, transform
 from eigenscan.recorder.picture.canvas import Canvas, Pace, stamp_of
 from eigenscan.recorder.picture.palette import OBSTACLE, SCAN
-from eigenscan.recorder.picture.shapes import FARTHEST, arrows, is_place, lift
+from eigenscan.recorder.picture.shapes import arrows, is_place, lift
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.scan_pb2 import RawScan
@@ -36,7 +36,7 @@ class RawScanPicture:
         if message.upside_down:
             angles = -angles
         ends = np.stack([np.cos(angles), np.sin(angles)], axis=-1) * ranges[:, None]
-        there = np.all(np.abs(ends) < FARTHEST, axis=-1) & (ranges > 0.0)
+        there = np.all(np.abs(ends) < FARTHEST_M, axis=-1) & (ranges > 0.0)
         within = (ranges >= message.range_min) & (ranges < (message.range_max or np.inf))
         colours = np.where(within[there, None], np.array(SCAN), np.array(OBSTACLE)).astype(np.uint8)
         self._canvas.style(path, _raw_style)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from eigenscan.geometry.pose import Array, compose, from_message, transform
+from eigenscan.geometry.pose import FARTHEST_M, Array, compose, from_message, transform
 from eigenscan.schemas.scan_pb2 import Scan
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,18 +15,15 @@ MAHALANOBIS_95 = 2.4477
 BARB = 0.28
 """Length of an arrow's barb, as a share of the arrow's length."""
 
-FARTHEST = 1e7
-"""No place on a map is farther from its origin, m."""
-
 
 def is_place(values: ArrayLike) -> bool:
     """Whether all values are numbers that can be drawn."""
-    return bool(np.all(np.abs(np.asarray(values, dtype=np.float64)) < FARTHEST))
+    return bool(np.all(np.abs(np.asarray(values, dtype=np.float64)) < FARTHEST_M))
 
 
 def are_places(rows: Array) -> NDArray[np.bool_]:
     """Which rows (n, k) can be drawn, (n,)."""
-    return np.asarray(np.all(np.abs(rows) < FARTHEST, axis=-1), dtype=np.bool_)
+    return np.asarray(np.all(np.abs(rows) < FARTHEST_M, axis=-1), dtype=np.bool_)
 
 
 def lift(points: ArrayLike, height: float) -> Array32:
@@ -54,7 +51,7 @@ def scan_points(scan: Scan, base: ArrayLike) -> Array:
     """Ends of the beams that hit something, (n, 2), map frame, for the robot's base at `base` (3,)."""
     ranges = np.asarray(scan.ranges, dtype=np.float64)
     angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-    hit = np.abs(ranges) < FARTHEST
+    hit = np.abs(ranges) < FARTHEST_M
     ends = np.stack([np.cos(angles), np.sin(angles)], axis=-1)[hit] * ranges[hit, None]
     return transform(compose(base, from_message(scan.mount)), ends)
 
