@@ -152,8 +152,9 @@ def test_two_workers_build_the_same_models(office: GridMap, tmp_path: Path, wher
             assert workers.client.scheduler is not None
             result = build(*flags, "--scheduler", workers.client.scheduler.address)
     assert result.returncode == 0, result.stderr
-    # that a machine is too busy for its cluster, dask may report
-    assert not [line for line in result.stderr.splitlines() if "unresponsive" not in line]
+    # that a machine is too busy for its cluster, dask may report; how far a long build is, build does
+    lines = [line for line in result.stderr.splitlines() if not line.endswith(" %")]
+    assert not [line for line in lines if "unresponsive" not in line]
     expected = build_site(office, QUICK).to_message()
     assert read_models(tmp_path / "model").to_message().entries == expected.entries
 
