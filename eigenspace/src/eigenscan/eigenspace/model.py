@@ -241,6 +241,11 @@ def set_version(map_version: str, versions: Sequence[str]) -> str:
     return hashlib.sha256("\n".join([map_version, *versions]).encode()).hexdigest()
 
 
+def panorama_bytes(positions: int, beams: int) -> int:
+    """Bytes of a region's panoramas, inflated: 16 bits a range."""
+    return 2 * positions * beams
+
+
 def check(message: model_pb2.RegionModel) -> None:
     """Raises ModelError for fields that do not fit together."""
     name = f"region {message.region!r}"
@@ -258,7 +263,7 @@ def check(message: model_pb2.RegionModel) -> None:
     for field_name, value in numbers.items():
         if not 0 < value <= FARTHEST_M:
             raise ModelError(f"{name}: {field_name} = {value}: expected metres above 0")
-    if 2 * len(message.index_x) * message.beams > MOST_BYTES:
+    if panorama_bytes(len(message.index_x), message.beams) > MOST_BYTES:
         raise ModelError(
             f"{name}: {len(message.index_x)} panoramas of {message.beams} beams: more than {MOST_BYTES} bytes"
         )

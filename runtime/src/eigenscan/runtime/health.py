@@ -22,7 +22,7 @@ STALLED_AFTER_S = 10.0
 """Age of the core's last step beyond which /healthz fails, s."""
 
 WAITING = "waiting"
-"""The only counter that also falls."""
+"""Of each service: samples in its inbox."""
 LEVELS = frozenset({WAITING, "lidars", "mcap_slowest_ms", "positions", "regions"})
 """Counters of the health whose rate has no meaning: gauges for Prometheus."""
 

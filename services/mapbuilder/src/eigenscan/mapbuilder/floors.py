@@ -10,7 +10,7 @@ import numpy as np
 from eigenscan.eigenspace.floors import Floor
 from eigenscan.geometry.gridmap import MOST_CELLS, UNKNOWN, GridMap, MapError
 from eigenscan.geometry.pose import compose, inverse
-from eigenscan.mapbuilder.geojson import is_name
+from eigenscan.mapbuilder.geojson import MOST_NAME, NOT_IN_NAMES, is_name
 from eigenscan.mapbuilder.site import Layout
 
 GAP = 10.0
@@ -29,8 +29,8 @@ def stack(maps: Sequence[tuple[str, GridMap]]) -> tuple[GridMap, tuple[Floor, ..
             raise MapError(f"{name}: two floors have this name: rename a file")
         if not is_name(name):
             raise MapError(
-                f"{name}: cannot be a floor's name: rename the file, without / \\ * $ ? # @ or spaces, "
-                "and with 64 letters at most"
+                f"{name}: cannot be a floor's name: rename the file, without {NOT_IN_NAMES} or spaces, "
+                f"and with {MOST_NAME} letters at most"
             )
     for name, grid in maps:
         if grid.resolution != resolution:

@@ -15,8 +15,10 @@ import numpy as np
 from eigenscan.geometry.pose import Array
 from eigenscan.schemas.channels import is_chunk
 
-_MOST_NAME, _MOST_NAME_BYTES = 64, 200
+MOST_NAME, _MOST_NAME_BYTES = 64, 200
 """Letters, and bytes: a file's name has 255 at most, with a floor's region number and its ending."""
+NOT_IN_NAMES = "/ \\ * $ ? # @"
+"""For messages: what `is_name` refuses, besides spaces and control characters."""
 
 
 class RegionsError(ValueError):
@@ -40,7 +42,7 @@ class GivenRegion:
 
 def is_name(text: str) -> bool:
     """Whether a region can have this name: as one chunk of a key, and as the name of its file."""
-    fits = len(text) <= _MOST_NAME and text.isprintable() and len(text.encode()) <= _MOST_NAME_BYTES
+    fits = len(text) <= MOST_NAME and text.isprintable() and len(text.encode()) <= _MOST_NAME_BYTES
     return fits and is_chunk(text) and "\\" not in text and not text.startswith(".")
 
 
@@ -72,8 +74,8 @@ def _region(where: str, feature: Any, number: int) -> GivenRegion:
     name = properties.get("name", f"r{number:02}") if isinstance(properties, dict) else None
     if not isinstance(name, str) or not is_name(name):
         raise RegionsError(
-            f"{where}: properties.name = {name!r}: give a word of {_MOST_NAME} letters at most, without "
-            "/ \\ * $ ? # @ or control characters; begin it with a letter or a digit"
+            f"{where}: properties.name = {name!r}: give a word of {MOST_NAME} letters at most, without "
+            f"{NOT_IN_NAMES} or control characters; begin it with a letter or a digit"
         )
     kind = geometry.get("type") if isinstance(geometry, dict) else None
     if kind not in ("Polygon", "MultiPolygon") or not isinstance(geometry, dict):

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from eigenscan.eigenspace.folder import SiteModel
-from eigenscan.eigenspace.model import MOST_BYTES, ModelError, RegionModel
+from eigenscan.eigenspace.model import MOST_BYTES, ModelError, RegionModel, panorama_bytes
 from eigenscan.geometry.gridmap import GridMap
 from eigenscan.geometry.raycast import RayCaster
 from eigenscan.geometry.surfaces import Surfaces
@@ -84,7 +84,7 @@ def lay_out(grid: GridMap, plan: Plan, drawn: Sequence[GivenRegion] = ()) -> Lay
     found = {n: f"r{k:0{digits}}" for k, n in enumerate(inhabited, 1)}
     names = {n: region.name for n, region in enumerate(drawn)} or found
     for n, name in names.items():
-        if 2 * len(members[n]) * plan.turn > MOST_BYTES:
+        if panorama_bytes(len(members[n]), plan.turn) > MOST_BYTES:
             raise ModelError(
                 f"region {name!r} has {len(members[n])} positions of {plan.turn} beams, over {MOST_BYTES} "
                 "bytes: ask for a coarser spacing or step, or draw smaller regions"

@@ -180,6 +180,7 @@ class ProjectorCore:
         if self._assembler.set_aside:
             self._counts["set_aside_model"] = self._assembler.set_aside
         if site is not None:
+            self._refused = ""
             before, self._site = self._site, site
             self._forget_places()
             held = {model.version for model in site.models}
@@ -191,9 +192,8 @@ class ProjectorCore:
                 before.abandon()
                 for sensor in before.sensors:
                     self._begin(site.view(sensor))
-        is_newest = self._site is not None and self._assembler.is_whole(self._site.version)
-        if is_newest and (kind == "model_set" or site is not None):  # else a part of the next set is refused
-            self._refused = ""
+        elif kind == "model_set" and self._site is not None and self._assembler.is_whole(self._site.version):
+            self._refused = ""  # the set in use is announced again; a part of the next one stays refused
 
     def _take_space(self, message: model_pb2.RegionSpace) -> None:
         """Takes a region's eigenspace for a kind of lidar."""
