@@ -24,11 +24,11 @@ from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
 from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.core import ProjectorCore
-from eigenscan.projector.observation import observe
+from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import find_candidates
-from eigenscan.projector.range_check import Wrong, check
+from eigenscan.projector.range_check import Wrong, check, turn_of
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.site import Site
+from eigenscan.projector.site import SensorView, Site
 from eigenscan.schemas.channels import SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import RangeCheck
@@ -48,6 +48,9 @@ ERRORS = {
     "10 % short": Wrong(0.9),
     "10 % long": Wrong(1.1),
     "25 % long": Wrong(1.25),
+    "30 % short": Wrong(0.7),
+    "half": Wrong(0.5),
+    "twice": Wrong(2.0),
     "0.3 m short": Wrong(offset=-0.3),
     "0.3 m long": Wrong(offset=0.3),
     "beams 10 % wide": Wrong(apart=1.1),
@@ -149,8 +152,12 @@ def _checks(
         for scan in ingest.handle(Envelope(SCAN_RAW, received.address, raw)):
             if scan.channel is SCAN:
                 seen = observe(scan.open(Scan))
-                found: Candidates = find_candidates(site, site.view(seen.sensor), seen, settings)
-                yield check(site, seen, found), way, new
+                view = site.view(seen.sensor)
+
+                def search(seen: Observation, view: SensorView = view) -> Candidates:
+                    return find_candidates(site, view, seen, settings)
+
+                yield check(site, seen, search(seen), search, turn_of(received.stamp)), way, new
 
 
 def _line(row: dict[str, Any]) -> str:

@@ -9,12 +9,13 @@ from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.range_check import (
+    ANEW,
     BY_CHANCE,
-    MIRRORED_ONE_IN,
+    SCALES,
     Wrong,
     check,
-    is_mirrored_too,
     set_right,
+    turn_of,
 )
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
@@ -143,18 +144,51 @@ def search(view: SensorView, seen: Observation) -> Candidates:
     return find_candidates(built(), view, seen, ProjectorSettings())
 
 
-def test_one_of_some_scans_is_searched_for_mirrored() -> None:
-    turns = [is_mirrored_too(stamp) for stamp in range(0, 10**12, 10**8)]
-    assert np.mean(turns) == pytest.approx(1 / MIRRORED_ONE_IN, rel=0.2)
-    assert is_mirrored_too(2**70) in (True, False)
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 2.0])
+def test_ranges_far_off_fit_the_map_only_set_right(factor: float) -> None:
+    """A map of another resolution was taken for one of another floor."""
+    gained = list[float]()
+    for number, pose in enumerate(POSES):
+        seen = observe(measured(scan_at(pose, field_of_view=2 * np.pi, seed=number), Wrong(factor)))
+        view = built().view(seen.sensor)
+        found = search(view, seen)
+        if found.log_likelihoods[0] < BY_CHANCE:
+            errors = {
+                scale: check(built(), seen, found, partial(search, view), scale) or RangeCheck()
+                for scale in SCALES
+            }
+            gains = {s: c.errors[1].gain for s, c in errors.items() if len(c.errors) > 1}
+            gained.append(gains[Wrong(factor)])
+            assert max(gains, key=gains.__getitem__) == Wrong(factor)
+    assert np.median(gained) > 3.0
+
+
+def test_a_scan_that_fits_some_place_is_searched_for_with_no_scale() -> None:
+    seen = observe(measured(scan_at(POSE, field_of_view=2 * np.pi), Wrong(apart=1.1)))
+    view = built().view(seen.sensor)
+    found = replace(search(view, seen), explained=np.zeros(1), log_likelihoods=np.full(1, BY_CHANCE + 1.0))
+    assert len(evidence(check(built(), seen, found, partial(search, view), SCALES[0])).errors) == 1
+
+
+def test_the_errors_that_a_scan_is_searched_for_with_take_turns() -> None:
+    turns = [turn_of(stamp) for stamp in range(0, 10**12, 10**8)]
+    for error in set(ANEW):
+        assert np.mean([one == error for one in turns]) == pytest.approx(
+            ANEW.count(error) / len(ANEW), rel=0.2
+        )
+    assert turn_of(2**70) in ANEW
 
 
 def test_a_list_states_by_turns_whether_the_scan_fits_mirrored() -> None:
     core, wrong = ready(), measured(scan_at(POSE, field_of_view=2 * np.pi), Wrong(apart=1.1))
     for second in range(20):
         wrong.timestamp.seconds = second
-        stated = [error.mirrored for error in receive(core, wrong)[0].range_check.errors]
-        assert stated == ([False, True] if is_mirrored_too(nanoseconds(wrong.timestamp)) else [False])
+        first, *rest = receive(core, wrong)[0].range_check.errors
+        assert not first.searched
+        turn = turn_of(nanoseconds(wrong.timestamp))
+        assert [(one.mirrored, one.factor) for one in rest if one.searched] == (
+            [(True, 1.0)] if turn is None else [(False, turn.factor)][: len(rest)]
+        )
 
 
 def test_a_list_of_the_whole_map_states_the_check() -> None:

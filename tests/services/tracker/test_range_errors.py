@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tests.services.tracker.conftest import MakeCore, PosesOf, Speaker
 
 SHORT, LONG = RangeError(0.9, 0.0), RangeError(1.0, 0.3)
-MIRRORED = RangeError(mirrored=True)
+MIRRORED, HALF = RangeError(mirrored=True, searched=True), RangeError(0.5, searched=True)
 FITS: dict[RangeError, float] = {}
 
 
@@ -67,6 +67,19 @@ def test_a_mirrored_map_is_named_by_the_scans_that_are_tried_so() -> None:
         found.move(0.2)
     assert found.fault.startswith("scans fit the map only mirrored: ")
     assert found.trust < 0.01
+
+
+def test_a_map_of_another_resolution_is_named_by_the_scans_that_are_searched_for_so() -> None:
+    found = RangeErrors()
+    for scan in range(40):
+        found.take("front", {LONG: -10.0, **({HALF: FOR} if scan % 8 == 0 else {})})
+        found.move(0.2)
+    assert "2.00 times as long" in found.fault
+    assert found.trust < 0.01
+
+
+def test_a_first_projector_states_no_search_for_mirrored_scans() -> None:
+    assert gains(RangeCheck(errors=[Stated(factor=1.0, mirrored=True, gain=5.0)])) == {MIRRORED: 5.0}
 
 
 def test_a_map_that_is_not_mirrored_is_trusted() -> None:

@@ -27,17 +27,17 @@ from eigenscan.schemas import scan_pb2 as eigenscan_dot_schemas_dot_scan__pb2
 from google.protobuf import timestamp_pb2 as google_dot_protobuf_dot_timestamp__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\"eigenscan/schemas/hypotheses.proto\x12\teigenscan\x1a eigenscan/schemas/geometry.proto\x1a\x1c\x65igenscan/schemas/scan.proto\x1a\x1fgoogle/protobuf/timestamp.proto\"\xbf\x01\n\nHypothesis\x12\x1e\n\x04pose\x18\x01 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x02 \x01(\x0b\x32\x16.eigenscan.Covariance3\x12\x16\n\x0elog_likelihood\x18\x03 \x01(\x01\x12\x0e\n\x06region\x18\x04 \x01(\t\x12\x14\n\x0c\x65rror_energy\x18\x05 \x01(\x01\x12\x11\n\texplained\x18\x06 \x01(\x01\x12\x14\n\x0c\x63oefficients\x18\x07 \x03(\x02\"Z\n\nProjection\x12\x0e\n\x06region\x18\x01 \x01(\t\x12\x14\n\x0c\x63oefficients\x18\x02 \x03(\x02\x12\x14\n\x0c\x65rror_energy\x18\x03 \x01(\x01\x12\x10\n\x08searched\x18\x04 \x01(\x08\"\xa3\x02\n\rSearchRequest\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12!\n\x06search\x18\x03 \x01(\x0e\x32\x11.eigenscan.Search\x12\x1e\n\x04pose\x18\x04 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x05 \x01(\x0b\x32\x16.eigenscan.Covariance3\x12\"\n\x08velocity\x18\x06 \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x1c\n\x14least_log_likelihood\x18\x07 \x01(\x01\x12 \n\x06places\x18\x08 \x03(\x0b\x32\x10.eigenscan.Pose2\"[\n\nRangeError\x12\x0e\n\x06\x66\x61\x63tor\x18\x01 \x01(\x01\x12\x0e\n\x06offset\x18\x02 \x01(\x01\x12\x0c\n\x04gain\x18\x03 \x01(\x01\x12\r\n\x05\x61part\x18\x04 \x01(\x01\x12\x10\n\x08mirrored\x18\x05 \x01(\x08\"3\n\nRangeCheck\x12%\n\x06\x65rrors\x18\x01 \x03(\x0b\x32\x15.eigenscan.RangeError\"\xc2\x04\n\nHypotheses\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12,\n\x06status\x18\x03 \x01(\x0e\x32\x1c.eigenscan.Hypotheses.Status\x12)\n\nhypotheses\x18\x04 \x03(\x0b\x32\x15.eigenscan.Hypothesis\x12\x1f\n\x17unlisted_log_likelihood\x18\x05 \x01(\x01\x12\x18\n\x10searched_area_m2\x18\x06 \x01(\x01\x12\x15\n\rmodel_version\x18\x07 \x01(\t\x12\x12\n\nused_beams\x18\x08 \x01(\r\x12*\n\x0bprojections\x18\t \x03(\x0b\x32\x15.eigenscan.Projection\x12%\n\x06motion\x18\n \x01(\x0b\x32\x15.eigenscan.ScanMotion\x12!\n\x06search\x18\x0b \x01(\x0e\x32\x11.eigenscan.Search\x12%\n\x08surfaces\x18\x0c \x01(\x0e\x32\x13.eigenscan.Surfaces\x12*\n\x0brange_check\x18\r \x01(\x0b\x32\x15.eigenscan.RangeCheck\x12\x0b\n\x03\x63ut\x18\x0e \x01(\x08\x12\x13\n\x0binexactness\x18\x0f \x01(\x01\"I\n\x06Status\x12\x16\n\x12STATUS_UNSPECIFIED\x10\x00\x12\r\n\tSTATUS_OK\x10\x01\x12\x18\n\x14STATUS_UNUSABLE_SCAN\x10\x02\"\x8c\x02\n\tObstacles\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12\x1e\n\x04pose\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x0c\n\x04mask\x18\x04 \x01(\x0c\x12\r\n\x05\x65rror\x18\x05 \x03(\x02\x12\x14\n\x0c\x65rror_energy\x18\x06 \x01(\x01\x12\x12\n\nconfidence\x18\x07 \x01(\x01\x12\x10\n\x08sensor_x\x18\x08 \x03(\x02\x12\x10\n\x08sensor_y\x18\t \x03(\x02\x12\r\n\x05map_x\x18\n \x03(\x02\x12\r\n\x05map_y\x18\x0b \x03(\x02\x12\x15\n\rmodel_version\x18\x0c \x01(\t*D\n\x06Search\x12\x16\n\x12SEARCH_UNSPECIFIED\x10\x00\x12\x10\n\x0cSEARCH_WHOLE\x10\x01\x12\x10\n\x0cSEARCH_LOCAL\x10\x02*M\n\x08Surfaces\x12\x18\n\x14SURFACES_UNSPECIFIED\x10\x00\x12\x13\n\x0fSURFACES_MIDDLE\x10\x01\x12\x12\n\x0eSURFACES_FACES\x10\x02\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\"eigenscan/schemas/hypotheses.proto\x12\teigenscan\x1a eigenscan/schemas/geometry.proto\x1a\x1c\x65igenscan/schemas/scan.proto\x1a\x1fgoogle/protobuf/timestamp.proto\"\xbf\x01\n\nHypothesis\x12\x1e\n\x04pose\x18\x01 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x02 \x01(\x0b\x32\x16.eigenscan.Covariance3\x12\x16\n\x0elog_likelihood\x18\x03 \x01(\x01\x12\x0e\n\x06region\x18\x04 \x01(\t\x12\x14\n\x0c\x65rror_energy\x18\x05 \x01(\x01\x12\x11\n\texplained\x18\x06 \x01(\x01\x12\x14\n\x0c\x63oefficients\x18\x07 \x03(\x02\"Z\n\nProjection\x12\x0e\n\x06region\x18\x01 \x01(\t\x12\x14\n\x0c\x63oefficients\x18\x02 \x03(\x02\x12\x14\n\x0c\x65rror_energy\x18\x03 \x01(\x01\x12\x10\n\x08searched\x18\x04 \x01(\x08\"\xa3\x02\n\rSearchRequest\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12!\n\x06search\x18\x03 \x01(\x0e\x32\x11.eigenscan.Search\x12\x1e\n\x04pose\x18\x04 \x01(\x0b\x32\x10.eigenscan.Pose2\x12*\n\ncovariance\x18\x05 \x01(\x0b\x32\x16.eigenscan.Covariance3\x12\"\n\x08velocity\x18\x06 \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x1c\n\x14least_log_likelihood\x18\x07 \x01(\x01\x12 \n\x06places\x18\x08 \x03(\x0b\x32\x10.eigenscan.Pose2\"m\n\nRangeError\x12\x0e\n\x06\x66\x61\x63tor\x18\x01 \x01(\x01\x12\x0e\n\x06offset\x18\x02 \x01(\x01\x12\x0c\n\x04gain\x18\x03 \x01(\x01\x12\r\n\x05\x61part\x18\x04 \x01(\x01\x12\x10\n\x08mirrored\x18\x05 \x01(\x08\x12\x10\n\x08searched\x18\x06 \x01(\x08\"3\n\nRangeCheck\x12%\n\x06\x65rrors\x18\x01 \x03(\x0b\x32\x15.eigenscan.RangeError\"\xc2\x04\n\nHypotheses\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12,\n\x06status\x18\x03 \x01(\x0e\x32\x1c.eigenscan.Hypotheses.Status\x12)\n\nhypotheses\x18\x04 \x03(\x0b\x32\x15.eigenscan.Hypothesis\x12\x1f\n\x17unlisted_log_likelihood\x18\x05 \x01(\x01\x12\x18\n\x10searched_area_m2\x18\x06 \x01(\x01\x12\x15\n\rmodel_version\x18\x07 \x01(\t\x12\x12\n\nused_beams\x18\x08 \x01(\r\x12*\n\x0bprojections\x18\t \x03(\x0b\x32\x15.eigenscan.Projection\x12%\n\x06motion\x18\n \x01(\x0b\x32\x15.eigenscan.ScanMotion\x12!\n\x06search\x18\x0b \x01(\x0e\x32\x11.eigenscan.Search\x12%\n\x08surfaces\x18\x0c \x01(\x0e\x32\x13.eigenscan.Surfaces\x12*\n\x0brange_check\x18\r \x01(\x0b\x32\x15.eigenscan.RangeCheck\x12\x0b\n\x03\x63ut\x18\x0e \x01(\x08\x12\x13\n\x0binexactness\x18\x0f \x01(\x01\"I\n\x06Status\x12\x16\n\x12STATUS_UNSPECIFIED\x10\x00\x12\r\n\tSTATUS_OK\x10\x01\x12\x18\n\x14STATUS_UNUSABLE_SCAN\x10\x02\"\x8c\x02\n\tObstacles\x12-\n\ttimestamp\x18\x01 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x10\n\x08\x66rame_id\x18\x02 \x01(\t\x12\x1e\n\x04pose\x18\x03 \x01(\x0b\x32\x10.eigenscan.Pose2\x12\x0c\n\x04mask\x18\x04 \x01(\x0c\x12\r\n\x05\x65rror\x18\x05 \x03(\x02\x12\x14\n\x0c\x65rror_energy\x18\x06 \x01(\x01\x12\x12\n\nconfidence\x18\x07 \x01(\x01\x12\x10\n\x08sensor_x\x18\x08 \x03(\x02\x12\x10\n\x08sensor_y\x18\t \x03(\x02\x12\r\n\x05map_x\x18\n \x03(\x02\x12\r\n\x05map_y\x18\x0b \x03(\x02\x12\x15\n\rmodel_version\x18\x0c \x01(\t*D\n\x06Search\x12\x16\n\x12SEARCH_UNSPECIFIED\x10\x00\x12\x10\n\x0cSEARCH_WHOLE\x10\x01\x12\x10\n\x0cSEARCH_LOCAL\x10\x02*M\n\x08Surfaces\x12\x18\n\x14SURFACES_UNSPECIFIED\x10\x00\x12\x13\n\x0fSURFACES_MIDDLE\x10\x01\x12\x12\n\x0eSURFACES_FACES\x10\x02\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'eigenscan.schemas.hypotheses_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_SEARCH']._serialized_start=1724
-  _globals['_SEARCH']._serialized_end=1792
-  _globals['_SURFACES']._serialized_start=1794
-  _globals['_SURFACES']._serialized_end=1871
+  _globals['_SEARCH']._serialized_start=1742
+  _globals['_SEARCH']._serialized_end=1810
+  _globals['_SURFACES']._serialized_start=1812
+  _globals['_SURFACES']._serialized_end=1889
   _globals['_HYPOTHESIS']._serialized_start=147
   _globals['_HYPOTHESIS']._serialized_end=338
   _globals['_PROJECTION']._serialized_start=340
@@ -45,13 +45,13 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_SEARCHREQUEST']._serialized_start=433
   _globals['_SEARCHREQUEST']._serialized_end=724
   _globals['_RANGEERROR']._serialized_start=726
-  _globals['_RANGEERROR']._serialized_end=817
-  _globals['_RANGECHECK']._serialized_start=819
-  _globals['_RANGECHECK']._serialized_end=870
-  _globals['_HYPOTHESES']._serialized_start=873
-  _globals['_HYPOTHESES']._serialized_end=1451
-  _globals['_HYPOTHESES_STATUS']._serialized_start=1378
-  _globals['_HYPOTHESES_STATUS']._serialized_end=1451
-  _globals['_OBSTACLES']._serialized_start=1454
-  _globals['_OBSTACLES']._serialized_end=1722
+  _globals['_RANGEERROR']._serialized_end=835
+  _globals['_RANGECHECK']._serialized_start=837
+  _globals['_RANGECHECK']._serialized_end=888
+  _globals['_HYPOTHESES']._serialized_start=891
+  _globals['_HYPOTHESES']._serialized_end=1469
+  _globals['_HYPOTHESES_STATUS']._serialized_start=1396
+  _globals['_HYPOTHESES_STATUS']._serialized_end=1469
+  _globals['_OBSTACLES']._serialized_start=1472
+  _globals['_OBSTACLES']._serialized_end=1740
 # @@protoc_insertion_point(module_scope)

@@ -81,18 +81,20 @@ class SearchRequest(_message.Message):
     def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., search: _Optional[_Union[Search, str]] = ..., pose: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., covariance: _Optional[_Union[_geometry_pb2.Covariance3, _Mapping]] = ..., velocity: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., least_log_likelihood: _Optional[float] = ..., places: _Optional[_Iterable[_Union[_geometry_pb2.Pose2, _Mapping]]] = ...) -> None: ...
 
 class RangeError(_message.Message):
-    __slots__ = ("factor", "offset", "gain", "apart", "mirrored")
+    __slots__ = ("factor", "offset", "gain", "apart", "mirrored", "searched")
     FACTOR_FIELD_NUMBER: _ClassVar[int]
     OFFSET_FIELD_NUMBER: _ClassVar[int]
     GAIN_FIELD_NUMBER: _ClassVar[int]
     APART_FIELD_NUMBER: _ClassVar[int]
     MIRRORED_FIELD_NUMBER: _ClassVar[int]
+    SEARCHED_FIELD_NUMBER: _ClassVar[int]
     factor: float
     offset: float
     gain: float
     apart: float
     mirrored: bool
-    def __init__(self, factor: _Optional[float] = ..., offset: _Optional[float] = ..., gain: _Optional[float] = ..., apart: _Optional[float] = ..., mirrored: _Optional[bool] = ...) -> None: ...
+    searched: bool
+    def __init__(self, factor: _Optional[float] = ..., offset: _Optional[float] = ..., gain: _Optional[float] = ..., apart: _Optional[float] = ..., mirrored: _Optional[bool] = ..., searched: _Optional[bool] = ...) -> None: ...
 
 class RangeCheck(_message.Message):
     __slots__ = ("errors",)

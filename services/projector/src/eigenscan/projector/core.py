@@ -25,7 +25,7 @@ from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.one_shot import QueryError, answer
 from eigenscan.projector.projection import Search, find_candidates, fit_around, look_also
 from eigenscan.projector.publishing import hypotheses_message, local_message, obstacles_message, unusable
-from eigenscan.projector.range_check import check, is_mirrored_too
+from eigenscan.projector.range_check import check, turn_of
 from eigenscan.projector.set_aside import Sizes, size_of_space
 from eigenscan.projector.settings import ProjectorSettings
 from eigenscan.projector.site import SensorView, Site
@@ -296,11 +296,11 @@ class ProjectorCore:
             self._local.searched_whole(lidar, at, candidates.ordinary)
         message = hypotheses_message(scan, site, seen, mount, candidates, scope)
         if self._settings.verification == "walls":
-            again = scope.regions is None and candidates.waiting is None and is_mirrored_too(at)
+            again = scope.regions is None and candidates.waiting is None
             search = (
                 partial(self._search, site, view, settings=self._settings, scope=WHOLE) if again else None
             )
-            checked = check(site, seen, candidates, search)
+            checked = check(site, seen, candidates, search, turn_of(at))
             if checked is not None:
                 message.range_check.CopyFrom(checked)
         yield Envelope(HYPOTHESES, address, message)

@@ -41,13 +41,14 @@ ANGLES = "scans fit the map only with beams {:.2f} times as far apart: is the li
 class RangeError(NamedTuple):
     """Ranges are `factor` times the true ones, plus `offset`, m; beams are `apart` times as far apart.
 
-    `mirrored`: the scan or the map is; not each scan is tried so.
+    `mirrored`: the scan or the map is. `searched`: the whole map was, for which not each scan is.
     """
 
     factor: float = 1.0
     offset: float = 0.0
     apart: float = 1.0
     mirrored: bool = False
+    searched: bool = False
 
     def __str__(self) -> str:
         """In words, for the person who can mend it. In small rooms scale and offset look alike."""
@@ -64,7 +65,9 @@ class RangeError(NamedTuple):
 def gains(checked: RangeCheck) -> dict[RangeError, float]:
     """What a projector's check states, without what is no number or no such error."""
     found = {
-        RangeError(one.factor, one.offset, one.apart or 1.0, one.mirrored): one.gain
+        RangeError(
+            one.factor, one.offset, one.apart or 1.0, one.mirrored, one.searched or one.mirrored
+        ): one.gain
         for one in checked.errors[:TRIED]
     }
     return {
@@ -91,9 +94,9 @@ class _Lidar:
     def take(self, found: Mapping[RangeError, float]) -> None:
         found = {error: gain - BY_MAP for error, gain in found.items()}
         # an error that is not stated fits no better than the best one that is
-        others = min(max((g for e, g in found.items() if not e.mirrored), default=-FITS), 0.0)
+        others = min(max((g for e, g in found.items() if not e.searched), default=-FITS), 0.0)
         for error in [*self.odds, *(each for each in found if each not in self.odds)][:TRIED]:
-            if error.mirrored and found and error not in found:
+            if error.searched and found and error not in found:
                 continue  # not tried
             gain = min(max(found.get(error, others), -AGAINST), FOR)
             new = min(self.come - self._judged.get(error, 0.0), 1.0)
