@@ -110,6 +110,16 @@ def test_two_machines_under_one_name_are_a_fault_and_a_restart_is_none() -> None
     assert any("two machines publish under this name" in each.what for each in diagnose(view))
 
 
+def test_a_map_that_gets_smaller_is_no_second_machine() -> None:
+    """A mapbuilder that learned twice in a few seconds was two machines."""
+    view = site(mapbuilder="no map")
+    (mapbuilder,) = view.services.values()
+    now = time.monotonic()
+    for n, positions in enumerate((900, 800, 700)):
+        mapbuilder.receive(Health(counters={"taken_scan": n, "positions": positions}), now + n)
+    assert not mapbuilder.is_twice
+
+
 @pytest.mark.parametrize(
     ("versions", "found"), [(("a", "a"), False), (("a", "b"), True), (("a", "b", "b"), False)]
 )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from eigenscan.runtime.errors import UsageError
+from eigenscan.runtime.health import LEVELS
 from eigenscan.runtime.recording import (
     Record,
     clock_set_back,
@@ -41,7 +42,7 @@ class Reported:
 
     def receive(self, health: Health) -> None:
         """Takes its next word."""
-        received = {name: count for name, count in health.counters.items() if name != "waiting"}
+        received = {name: count for name, count in health.counters.items() if name not in LEVELS}
         self.restarts += any(count > received.get(name, 0) for name, count in self.counters.items())
         if self.is_known:  # not its first word: that may tell of the time before the recording
             self.grown.update({name: max(n - self.counters.get(name, 0), 0) for name, n in received.items()})
