@@ -9,8 +9,8 @@ from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.observation import Observation, observe
 from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.range_check import (
-    ANEW,
     BY_CHANCE,
+    BY_TURNS,
     SCALES,
     Wrong,
     check,
@@ -172,11 +172,11 @@ def test_a_scan_that_fits_some_place_is_searched_for_with_no_scale() -> None:
 
 def test_the_errors_that_a_scan_is_searched_for_with_take_turns() -> None:
     turns = [turn_of(stamp) for stamp in range(0, 10**12, 10**8)]
-    for error in set(ANEW):
+    for error in set(BY_TURNS):
         assert np.mean([one == error for one in turns]) == pytest.approx(
-            ANEW.count(error) / len(ANEW), rel=0.2
+            BY_TURNS.count(error) / len(BY_TURNS), rel=0.2
         )
-    assert turn_of(2**70) in ANEW
+    assert turn_of(2**70) in BY_TURNS
 
 
 def test_a_list_states_by_turns_whether_the_scan_fits_mirrored() -> None:

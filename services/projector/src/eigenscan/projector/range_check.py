@@ -39,7 +39,7 @@ FITS = 0.9
 """Share of explained beams from which a scan fits as it is: benchmarks/range_errors.py."""
 SCALES = tuple(Wrong(factor=factor) for factor in (0.5, 0.64, 0.8, 1.25, 1.56, 2.0))
 """So far off, no list has the pose: a map of 10 cm a cell that states 5, say."""
-ANEW = (None, *SCALES[:3], None, *SCALES[3:])
+BY_TURNS = (None, *SCALES[:3], None, *SCALES[3:])
 """By turns, a scan that does not fit is searched for with such an error too, None: mirrored. That costs as
 much again."""
 AMONG = 5
@@ -53,13 +53,13 @@ def check(
     seen: Observation,
     found: Candidates,
     search: Callable[[Observation], Candidates] | None = None,
-    anew: Wrong | None = None,
+    also: Wrong | None = None,
 ) -> RangeCheck | None:
     """Of the errors that are tried, the one with which a scan fits best; `found`: its candidates.
 
-    With a `search` of the whole map also the one of ANEW, for the scan then fits at another place; with a
-    scale only where it fits no place as it is. None where it fits nowhere better than by chance, whatever is
-    tried: such a scan is no evidence either way.
+    With a `search` of the whole map `also` one of BY_TURNS, for the scan then fits at another place; a scale
+    only where it fits no place as it is. None where it fits nowhere better than by chance, whatever is tried:
+    such a scan is no evidence either way.
     """
     if not len(found.poses) or found.explained[0] >= FITS:
         return RangeCheck()
@@ -70,9 +70,9 @@ def check(
     fitted = fit_around(site, right[best], starts, found.ordinary)
     least = max(float(found.log_likelihoods[0]), BY_CHANCE)
     errors = [RangeError(**best._asdict(), gain=fitted.log_likelihood - least)]
-    if search is not None and (anew is None or least == BY_CHANCE):
-        other = search(mirrored(seen) if anew is None else set_right(seen, anew)).log_likelihoods
-        stated = {"factor": 1.0, "mirrored": True} if anew is None else anew._asdict()
+    if search is not None and (also is None or least == BY_CHANCE):
+        other = search(mirrored(seen) if also is None else set_right(seen, also)).log_likelihoods
+        stated = {"factor": 1.0, "mirrored": True} if also is None else also._asdict()
         if len(other):
             errors.append(RangeError(**stated, searched=True, gain=float(other[0]) - least))
     if least == BY_CHANCE and all(error.gain <= 0.0 for error in errors):
@@ -81,8 +81,8 @@ def check(
 
 
 def turn_of(stamp: int) -> Wrong | None:
-    """With which of ANEW a scan of this stamp, ns, is searched for."""
-    return ANEW[crc32(str(stamp).encode()) % len(ANEW)]
+    """With which of BY_TURNS a scan of this stamp, ns, is searched for."""
+    return BY_TURNS[crc32(str(stamp).encode()) % len(BY_TURNS)]
 
 
 def mirrored(seen: Observation) -> Observation:
