@@ -32,6 +32,11 @@ def test_the_baseline_holds_all_of_today(today: FileDescriptorSet) -> None:
     assert missing == [], "run tools/generate-contract"
 
 
+def test_each_of_our_proto_files_is_watched(today: FileDescriptorSet) -> None:
+    there = (ROOT / "schemas/proto/eigenscan/schemas").glob("*.proto")
+    assert {Path(file.name).name for file in today.file} == {path.name for path in there}
+
+
 def test_an_added_field_breaks_nothing(today: FileDescriptorSet) -> None:
     changed = copy.deepcopy(today)
     _message(changed, "Scan").field.add(name="new", number=2000, type=FieldDescriptorProto.TYPE_BOOL)

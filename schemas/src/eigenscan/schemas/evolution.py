@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from eigenscan.schemas.channels import CHANNELS
+from eigenscan.schemas.localize_pb2 import LocalizeQuery
 from eigenscan.schemas.recordings_pb2 import RecordingParts
 from google.protobuf.descriptor_pb2 import (
     DescriptorProto,
@@ -36,7 +37,8 @@ def contract() -> FileDescriptorSet:
 
     for channel in CHANNELS:
         visit(channel.message.DESCRIPTOR.file)
-    visit(RecordingParts.DESCRIPTOR.file)
+    for asked in (LocalizeQuery, RecordingParts):
+        visit(asked.DESCRIPTOR.file)
     result = FileDescriptorSet()
     for name in sorted(files):
         files[name].CopyToProto(result.file.add())
