@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+from pathlib import Path
+from types import ModuleType
 
 import pytest
 from eigenscan.runtime import memory
@@ -58,3 +60,15 @@ def test_only_parts_that_nobody_wrote_to_are_given_back() -> None:
 def test_the_linkers_code_is_given_back_and_code_is_still_linked() -> None:
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True", "True", "True", "42"]
+
+
+def test_where_nothing_lists_what_is_mapped_the_service_goes_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(memory, "_MAPPINGS", tmp_path / "smaps")
+    monkeypatch.setitem(sys.modules, memory.ITS_MODULE, ModuleType(memory.ITS_MODULE))
+    now = 0.0
+    kept = memory.StartMemory(lambda: now)
+    now = memory.FIRST_S
+    kept.tend()
+    assert now + memory.EVERY_S == kept._due

@@ -10,6 +10,7 @@ import ctypes
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 LINKER, ITS_MODULE = "libllvmlite", "llvmlite"
@@ -40,7 +41,10 @@ class StartMemory:
         if ITS_MODULE not in sys.modules:
             return
         if not self._parts:  # once: to list all that is mapped takes 40 ms
-            with _MAPPINGS.open(encoding="utf-8", errors="replace") as lines:
+            with (
+                suppress(OSError),  # some kernels and containers have no such list
+                _MAPPINGS.open(encoding="utf-8", errors="replace") as lines,
+            ):
                 self._parts = [*unchanged_parts(LINKER, lines)]
         for start, end in self._parts:
             libc.madvise(ctypes.c_void_p(start), ctypes.c_size_t(end - start), _MADV_DONTNEED)
