@@ -50,7 +50,7 @@ def test_zenoh_takes_the_key_and_the_selector_covers_it(
 @given(
     st.sampled_from(CHANNELS),
     ADDRESSES,
-    st.sampled_from(["", "a/b", "*", "a b", "**", "a#", "$*", "@x", "a?", "a\x1b[2J", "a\x9bm"]),
+    st.sampled_from(["", "a/b", "*", "a b", "**", "a#", "$*", "@x", "a?", "a\x1b[2J", "a\x9bm", "a\udcff"]),
 )
 def test_what_is_no_plain_chunk_makes_no_key(channel: Channel, address: dict[str, str], bad: str) -> None:
     for name in channel.fields:

@@ -37,7 +37,7 @@ MOST_PARSED = 4096
 """Keys of a channel whose addresses are remembered: a sender may invent any number."""
 
 _FIELD = re.compile(r"{(\w+)}")
-_CHUNK = re.compile(r"[^/*$#?@\s\x00-\x1f\x7f-\x9f]+")
+_CHUNK = re.compile(r"[^/*$#?@\s\x00-\x1f\x7f-\x9f\ud800-\udfff]+")
 
 
 class ContractError(ValueError):
@@ -47,7 +47,8 @@ class ContractError(ValueError):
 def is_chunk(text: str) -> bool:
     """Whether `text` can be one chunk of a key.
 
-    It must not be empty, nor contain any of `/ * $ # ? @`, a blank or a control character.
+    It must not be empty, nor contain any of `/ * $ # ? @`, a blank, a control character, or a byte that is no
+    UTF-8 (a surrogate in Python).
     """
     return bool(_CHUNK.fullmatch(text))
 
