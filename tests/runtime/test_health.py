@@ -99,6 +99,34 @@ def test_a_port_that_is_taken_is_named() -> None:
             Monitor("probe", "0", "").serve("127.0.0.1", port)
 
 
+def test_it_asks_no_name_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot without a link would wait for that, and its service would start late."""
+    asked: list[str] = []
+
+    def getfqdn(name: str = "") -> str:
+        asked.append(name)
+        return name
+
+    monkeypatch.setattr(socket, "getfqdn", getfqdn)
+    monitor = Monitor("probe", "0", "")
+    assert monitor.serve("0.0.0.0", 0) > 0
+    monitor.close()
+    assert asked == []
+
+
+def test_it_listens_on_an_address_of_ipv6() -> None:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("this machine has no IPv6")
+    monitor = Monitor("probe", "0", "")
+    monitor.turn(OK)
+    port = monitor.serve("::1", 0)
+    with urlopen(f"http://[::1]:{port}/healthz", timeout=120) as reply:
+        assert reply.status == 200
+    monitor.close()
+
+
 def test_it_serves_while_a_client_hangs() -> None:
     monitor = Monitor("probe", "0", "")
     monitor.turn(OK)

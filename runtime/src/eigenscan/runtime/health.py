@@ -154,7 +154,8 @@ class Monitor:
             self._server = Server((host, port), self)
         except OSError as error:
             raise SettingsError(
-                f"metrics_port = {port}: cannot listen on {host}: {error.strerror}: choose another, or 0"
+                f"metrics_port = {port}: cannot listen on {host}: {error.strerror}: "
+                "choose another port, or 0; or another metrics_host"
             ) from error
         threading.Thread(target=self._server.serve_forever, args=(0.1,), name="metrics", daemon=True).start()
         return int(self._server.server_address[1])

@@ -6,6 +6,8 @@ import json
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import accumulate
+from socket import AF_INET, AF_INET6
+from socketserver import TCPServer
 
 from eigenscan.runtime.health import LEVELS, WAITING, Monitor, Times
 from eigenscan.schemas.channels import CONTRACT_VERSION
@@ -84,7 +86,12 @@ class Server(ThreadingHTTPServer):
     def __init__(self, address: tuple[str, int], monitor: Monitor) -> None:
         """Raises OSError if it cannot listen there."""
         self.monitor, self.metrics = monitor, Metrics(monitor)
+        self.address_family = AF_INET6 if ":" in address[0] else AF_INET
         super().__init__(address, _Handler)
+
+    def server_bind(self) -> None:
+        """Only binds: HTTPServer's asks the name server for a name, and a robot without a link would wait."""
+        TCPServer.server_bind(self)
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Ignores probes that hang up."""

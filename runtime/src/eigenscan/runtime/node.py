@@ -227,7 +227,8 @@ class Node:
         settings = self.settings
         if settings.metrics_port is not None:
             port = self._monitor.serve(settings.metrics_host, settings.metrics_port)
-            self._log.info("metrics", url=f"http://{settings.metrics_host}:{port}/metrics")
+            host = f"[{settings.metrics_host}]" if ":" in settings.metrics_host else settings.metrics_host
+            self._log.info("metrics", url=f"http://{host}:{port}/metrics")
 
     def close(self, seconds: float) -> bool:
         """Closes port, bus and metrics; returns whether that took less than `seconds`."""
