@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -49,7 +50,7 @@ def test_what_is_damaged_or_foreign_is_passed_over(tmp_path: Path) -> None:
     LatchedCache(tmp_path).put(model("room", b"2"))
     (first, _) = sorted(tmp_path.iterdir())
     first.write_bytes(first.read_bytes()[:-1])
-    (tmp_path / "partial").write_bytes(b"half")
+    (tmp_path / "partial-service").write_bytes(b"half")
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / first.name.replace("site", "elsewhere%2Fsite")).write_bytes(b"x\n")
     assert [one.payload for one in LatchedCache(tmp_path).read("site")] == [b"2"]
@@ -98,8 +99,30 @@ def test_two_failed_starts_set_all_aside_and_one_does_not(tmp_path: Path) -> Non
     assert not again.try_out()
 
 
+def test_services_that_share_a_folder_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new set reaches both at once: one begins to write it while the other does."""
+    tracker, projector = (LatchedCache(tmp_path, name) for name in ("tracker", "projector"))
+    written = os.fsync
+
+    def meanwhile(number: int) -> None:
+        monkeypatch.setattr(os, "fsync", written)
+        tracker.put(model("hall", b"1"))
+        written(number)
+
+    monkeypatch.setattr(os, "fsync", meanwhile)
+    projector.put(model("room", b"2"))
+    assert {one.payload for one in LatchedCache(tmp_path).read("site")} == {b"1", b"2"}
+
+
+def test_a_start_of_two_services_that_share_a_folder_counts_once(tmp_path: Path) -> None:
+    LatchedCache(tmp_path).put(model("hall", b"1"))
+    for name in ("tracker", "projector") * 2:
+        assert not LatchedCache(tmp_path, name).try_out()
+    assert LatchedCache(tmp_path, "tracker").try_out()
+
+
 @pytest.mark.parametrize("content", [b"", b"two", b"\xff"])
 def test_a_torn_note_of_starts_counts_as_none(tmp_path: Path, content: bytes) -> None:
     cache = LatchedCache(tmp_path)
-    (tmp_path / "starts").write_bytes(content)
+    (tmp_path / "starts-service").write_bytes(content)
     assert not cache.try_out()

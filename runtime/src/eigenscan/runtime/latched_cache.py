@@ -1,7 +1,8 @@
 """A cache of received maps and models on disk, for a start without the site.
 
 Samples are read in the order of their arrival, so a core returns to its former state. The newest two of each
-key are kept: the newest set may have been incomplete when the machine went down.
+key are kept: the newest set may have been incomplete when the machine went down. Several services may share
+a folder, as one setting for all of them has it.
 
 A model that crashes its reader would do so at every start. So a start with cached samples is noted until it
 has proven itself. After FAILED_STARTS that did not, all in the folder moves to its subfolder ASIDE.
@@ -24,7 +25,7 @@ from eigenscan.schemas.channels import find
 GENERATIONS = 2
 FAILED_STARTS = 2
 """In a row; one may be a power cut."""
-STARTS, ASIDE = "starts", "aside"
+ASIDE = "aside"
 DIGEST_BYTES = 8
 """Length of the part of a sample's SHA-256 that identifies it in a query."""
 
@@ -56,9 +57,11 @@ class _Kept:
 class LatchedCache:
     """A folder of samples. Raises OSError if it cannot be made."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, owner: str = "service") -> None:
+        """`owner`: the service; others that share the folder have other names."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
+        self._starts, self._partial = folder / f"starts-{owner}", folder / f"partial-{owner}"
         named = (_Kept.of(path) for path in folder.iterdir())
         found = sorted((kept for kept in named if kept is not None), key=lambda kept: kept.number)
         self._kept: defaultdict[str, list[_Kept]] = defaultdict(list)
@@ -88,28 +91,26 @@ class LatchedCache:
 
         True if too many before this one failed: then all is set aside, and nothing is cached any more.
         """
-        starts = self._folder / STARTS
         try:
-            failed = int(starts.read_bytes())
+            failed = int(self._starts.read_bytes())
         except (OSError, ValueError):  # none, or cut
             failed = 0
         if failed >= FAILED_STARTS:
             self._set_aside()
             return True
-        with starts.open("wb") as file:
-            file.write(b"%d" % (failed + 1))
+        self._starts.write_bytes(b"%d" % (failed + 1))
         return False
 
     def prove(self) -> None:
         """What is cached does no harm. Raises OSError."""
-        (self._folder / STARTS).unlink(missing_ok=True)
+        self._starts.unlink(missing_ok=True)
 
     def _set_aside(self) -> None:
         aside = self._folder / ASIDE
         shutil.rmtree(aside, ignore_errors=True)
         aside.mkdir(exist_ok=True)
         for path in list(self._folder.iterdir()):
-            if path.name not in (ASIDE, STARTS):
+            if path not in (aside, self._starts):
                 path.replace(aside / path.name)
         self._kept.clear()
         self._read.clear()
@@ -124,12 +125,11 @@ class LatchedCache:
         if history and history[-1].digest == known:
             return
         name = f"{self._next:09d}-{known}-{quote(sample.key, safe='')}"
-        partial = self._folder / "partial"
-        with partial.open("wb") as file:
+        with self._partial.open("wb") as file:
             file.write(sample.encoding.encode() + b"\n" + sample.payload)
             file.flush()
             os.fsync(file.fileno())
-        partial.replace(self._folder / name)
+        self._partial.replace(self._folder / name)
         history.append(_Kept(self._folder / name, self._next, known, sample.key))
         self._next += 1
         while len(history) > GENERATIONS:

@@ -390,7 +390,7 @@ class Node:
         """Gives the core the samples that are cached on disk, and returns them."""
         if self.settings.keep is None:
             return []
-        self._latched_cache = LatchedCache(self.settings.keep)
+        self._latched_cache = LatchedCache(self.settings.keep, self.service.name)
         known = [
             sample for sample in self._latched_cache.read(self.settings.site) if sample.channel in inputs
         ]
