@@ -328,12 +328,13 @@ class Network:
     def ask(
         self, session: Session, selector: str, handler: Any, payload: bytes | None, timeout: float
     ) -> None:
-        """A query to all whose keys fit; without an answer for `timeout` s, the news of that."""
+        """A query to all whose keys fit; without an answer for `timeout` s, the news of that, and no more."""
         wanted = expression(selector)
         unanswered: set[Declared] = set()
+        is_over = False
 
         def receive(reply: Reply) -> None:
-            if session.is_open and not session.is_silent:
+            if session.is_open and not session.is_silent and not is_over:
                 if reply.ok is not None:
                     session.note_arrived(reply.ok.key_expr)
                 else:
@@ -365,8 +366,10 @@ class Network:
                 self._send(self._way(session, one.session), question(one), block=True)
 
         def give_up() -> None:
+            nonlocal is_over
             if unanswered:
                 receive(Reply(None, "timeout"))
+            is_over = True
 
         if unanswered:
             self._agenda.after(timeout, give_up)
