@@ -1,14 +1,17 @@
+import re
 import socket
 import time
 from urllib.request import urlopen
 
 import pytest
-from eigenscan.runtime.health import Monitor
+from eigenscan.runtime.health import LEVELS, Monitor
 from eigenscan.runtime.metrics import Metrics
 from eigenscan.runtime.settings import SettingsError
 from eigenscan.schemas.envelope import Condition
 from eigenscan.schemas.health_pb2 import Health
 from prometheus_client.parser import text_string_to_metric_families
+
+from tests.environment import ROOT
 
 OK = Condition(Health.STATUS_OK, "well", {"heard": 3, "waiting": 2, "regions": 7})
 
@@ -88,6 +91,12 @@ def test_prometheus_reads_the_metrics() -> None:
         families["eigenscan_info"].samples if "eigenscan_info" in families else families["eigenscan"].samples
     )
     assert info.labels["instance"] == "r7"
+
+
+def test_the_contract_names_each_counter_that_may_fall() -> None:
+    page = (ROOT / "docs/contract.md").read_text(encoding="utf-8")
+    (stated,) = (line for line in page.splitlines() if line.startswith("`counters` only grow, except "))
+    assert set(re.findall("`([a-z_]+)`", stated.split(". ")[0])) - {"counters"} == LEVELS
 
 
 def test_a_port_that_is_taken_is_named() -> None:
