@@ -86,3 +86,11 @@ def test_a_folder_is_one_recording_in_order_of_time(
     assert [record.log_time for record in read(folder, begin)] == [t for t in wanted if t >= begin]
     found = contents(folder)
     assert (found.begin, found.end, found.messages) == (wanted[0], wanted[-1], len(wanted))
+
+
+def test_hidden_files_are_no_part_of_a_folder(tmp_path: Path) -> None:
+    """macOS puts one beside each file that it copies to a stick."""
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        writer.write(scan(1), 1)
+    (tmp_path / "._a.mcap").write_bytes(bytes(4096))
+    assert contents(tmp_path).messages == len(list(read(tmp_path))) == 1

@@ -120,12 +120,13 @@ def is_only_begun(path: Path) -> bool:
 def parts(path: Path) -> list[Path]:
     """The files of a recording: the file itself, or those in a recorder's folder.
 
-    A repaired copy replaces its original. A file that was cut before its first message is left out: a
-    recorder was killed as it began it. Raises RecordingError for a folder without recordings.
+    A repaired copy replaces its original. Left out are hidden files, which macOS puts beside each on a stick,
+    and a file that was cut before its first message: a recorder was killed as it began it. Raises
+    RecordingError for a folder without recordings.
     """
     if not path.is_dir():
         return [path]
-    named = [file for file in sorted(path.glob("*.mcap")) if not file.match("*.reference.mcap")]
+    named = [file for file in sorted(path.glob("[!.]*.mcap")) if not file.match("*.reference.mcap")]
     files = {file.name: file for file in named if not is_only_begun(file)}
     for name in list(files):
         if name.endswith(REPAIRED):
