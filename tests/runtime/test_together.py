@@ -113,6 +113,14 @@ def test_it_ends_in_good_order_where_its_session_never_opened(
     assert service.process.wait(PATIENCE_S) == 0
 
 
+def test_a_configuration_that_cannot_be_read_is_one_line(tmp_path: Path, start: Callable[..., Any]) -> None:
+    folder = tmp_path / "x.json5"
+    folder.mkdir()
+    process = start(program=TINY, config=folder).process
+    assert process.communicate(timeout=PATIENCE_S)[1].count("\n") == 1
+    assert process.returncode == 2
+
+
 def test_settings_that_do_not_hold_end_it_before_it_starts(start: Callable[..., Any]) -> None:
     assert start("--site", "a/b", program=TINY).process.wait(PATIENCE_S) == 2
 

@@ -35,7 +35,6 @@ from eigenscan.runtime.session import open_meanwhile
 from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
 from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.runtime.work import CONDITION_PERIOD_S, Work
-from eigenscan.schemas.channels import ContractError
 
 Chosen = list[tuple[Service[Any], ServiceSettings]]
 
@@ -239,5 +238,6 @@ class Together:
         return finished and not session.is_alive()
 
     def _close_session(self) -> None:
-        with contextlib.suppress(ContractError, zenoh.ZError):  # it did not open
-            self._shared.opening.result().close()
+        if self._shared.opening.exception() is None:
+            with contextlib.suppress(zenoh.ZError):
+                self._shared.opening.result().close()
