@@ -116,6 +116,15 @@ def test_poses_are_the_robots_base_and_lie_where_the_mount_states(core: Projecto
     assert found >= 9
 
 
+def test_each_answer_states_how_its_scan_was_gathered(core: ProjectorCore) -> None:
+    scan = scan_at(free_poses(1, 4)[0], field_of_view=2 * np.pi)
+    scan.gathered = 3.0
+    for few in (False, True):
+        if few:
+            scan.ranges[5:] = [float("nan")] * (len(scan.ranges) - 5)
+        assert receive(core, scan)[0].gathered == 3.0
+
+
 def test_covariances_match_the_errors(core: ProjectorCore) -> None:
     squares = []
     for i, truth in enumerate(free_poses(60, 31)):

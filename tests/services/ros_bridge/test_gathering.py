@@ -54,6 +54,7 @@ def points(published: list[Envelope]) -> Any:
     (one,) = published
     assert one.address["lidar"] == LIDAR
     raw = one.open(RawScan)
+    assert raw.gathered == 3.0
     ranges = np.array(raw.ranges)
     angles = raw.angle_min + raw.angle_increment * np.arange(len(ranges))
     assert (raw.mount.x, raw.mount.y, raw.mount.theta, raw.upside_down) == (0.0, 0.0, 0.0, False)

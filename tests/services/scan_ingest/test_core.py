@@ -83,7 +83,7 @@ def test_a_scan_passes_with_its_limits_mount_and_number() -> None:
     ingest = core(base_frame="base_footprint")
     mount = Pose2(x=0.2, y=-0.1, theta=0.5)
     for number in range(3):
-        *motion, published = ingest.handle(received(raw((number + 1) * SECOND, mount=mount)))
+        *motion, published = ingest.handle(received(raw((number + 1) * SECOND, mount=mount, gathered=3.0)))
         assert [each.channel for each in motion] == [SCAN_MOTION] * bool(number)
         assert published.channel is SCAN
         # the scan carries it: so the tracker has it with the scan's hypotheses
@@ -91,7 +91,7 @@ def test_a_scan_passes_with_its_limits_mount_and_number() -> None:
         assert published.key == "s/robot/r/scan/front"
         scan = published.open(Scan)
         assert (scan.sequence, scan.frame_id, scan.mount) == (number, "base_footprint", mount)
-        assert (scan.range_min, scan.range_max) == (0.1, 30.0)
+        assert (scan.range_min, scan.range_max, scan.gathered) == (0.1, 30.0, 3.0)
         assert nanoseconds(scan.timestamp) == (number + 1) * SECOND
     assert ingest.condition().status == Health.STATUS_OK
 

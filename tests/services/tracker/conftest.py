@@ -48,6 +48,7 @@ class Speaker:
         status: Hypotheses.Status = Hypotheses.STATUS_OK,
         used_beams: int = 90,
         inexactness: float = 0.0,
+        gathered: float = 0.0,
     ) -> Envelope:
         listed = [*zip(poses, log_likelihoods, strict=True)]
         if listed:
@@ -59,6 +60,7 @@ class Speaker:
             status=status,
             used_beams=used_beams,
             inexactness=inexactness,
+            gathered=gathered,
             unlisted_log_likelihood=self.unlisted / TRUST,
             searched_area_m2=self.area,
             hypotheses=[

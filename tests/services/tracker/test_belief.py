@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -129,14 +130,14 @@ def test_a_symmetric_place_is_left_by_what_breaks_it(
     assert message.pose.x == pytest.approx(poses[0][0], abs=0.05)
 
 
-def sure_after(core: TrackerCore, speaker: Speaker, poses_of: PosesOf, inexactness: float) -> float:
+def sure_after(core: TrackerCore, speaker: Speaker, poses_of: PosesOf, **stated: Any) -> float:
     """m driven along two places of which one fits a little better, until it is claimed."""
     odometry, poses = np.zeros(3), symmetric(2)
     for scan in range(200):
         time = 10.0 + scan * 0.1
         odometry, poses = compose(odometry, STEP), [compose(pose, STEP) for pose in poses]
         core.handle(speaker.odometry(time, odometry))
-        lists = speaker.hypotheses(time, poses, [19.0, 18.0], inexactness=inexactness)
+        lists = speaker.hypotheses(time, poses, [19.0, 18.0], **stated)
         if poses_of(core.handle(lists))[0].state == STATE_LOCALIZED:
             return 0.05 * scan
     return math.inf
@@ -145,17 +146,38 @@ def sure_after(core: TrackerCore, speaker: Speaker, poses_of: PosesOf, inexactne
 def test_errors_of_an_inexact_map_are_alike_along_the_way(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
 ) -> None:
-    exact, thin, thick = (sure_after(make_core(), speaker, poses_of, own) for own in (0.0, 0.1, 0.2))
+    exact, thin, thick = (
+        sure_after(make_core(), speaker, poses_of, inexactness=own) for own in (0.0, 0.1, 0.2)
+    )
     # beside a lidar's 5 cm; what the first place shows needs no way
     assert (thick - exact) / (thin - exact) == pytest.approx((17**0.5 - 1) / (5**0.5 - 1), rel=0.1)
+
+
+def test_gathered_scans_show_new_places_as_slowly_as_they_forget(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf
+) -> None:
+    """Each showed again what those before it did: a place that merely looks right was claimed."""
+    one, short, long = (
+        sure_after(make_core(), speaker, poses_of, gathered=way) for way in (0.4, 1.0, 1.5)
+    )  # m; independence_m is 0.5
+    assert one == sure_after(make_core(), speaker, poses_of)
+    assert (long - one) / (short - one) == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize("gathered", [math.nan, math.inf, -1.0, 1e300])
+def test_what_is_no_way_counts_as_none(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, gathered: float
+) -> None:
+    found = sure_after(make_core(), speaker, poses_of, gathered=gathered)
+    assert found == sure_after(make_core(), speaker, poses_of)
 
 
 @pytest.mark.parametrize("inexactness", [math.nan, math.inf, -1.0, 1e300])
 def test_what_is_no_wall_s_inexactness_counts_as_none(
     make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, inexactness: float
 ) -> None:
-    found = sure_after(make_core(), speaker, poses_of, inexactness)
-    assert found == sure_after(make_core(), speaker, poses_of, 0.0)
+    found = sure_after(make_core(), speaker, poses_of, inexactness=inexactness)
+    assert found == sure_after(make_core(), speaker, poses_of)
 
 
 def test_a_scan_that_nothing_explains_leaves_the_robot_lost(

@@ -103,7 +103,7 @@ class RangeCheck(_message.Message):
     def __init__(self, errors: _Optional[_Iterable[_Union[RangeError, _Mapping]]] = ...) -> None: ...
 
 class Hypotheses(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "status", "hypotheses", "unlisted_log_likelihood", "searched_area_m2", "model_version", "used_beams", "projections", "motion", "search", "surfaces", "range_check", "cut", "inexactness")
+    __slots__ = ("timestamp", "frame_id", "status", "hypotheses", "unlisted_log_likelihood", "searched_area_m2", "model_version", "used_beams", "projections", "motion", "search", "surfaces", "range_check", "cut", "inexactness", "gathered")
     class Status(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATUS_UNSPECIFIED: _ClassVar[Hypotheses.Status]
@@ -127,6 +127,7 @@ class Hypotheses(_message.Message):
     RANGE_CHECK_FIELD_NUMBER: _ClassVar[int]
     CUT_FIELD_NUMBER: _ClassVar[int]
     INEXACTNESS_FIELD_NUMBER: _ClassVar[int]
+    GATHERED_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     status: Hypotheses.Status
@@ -142,7 +143,8 @@ class Hypotheses(_message.Message):
     range_check: RangeCheck
     cut: bool
     inexactness: float
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., status: _Optional[_Union[Hypotheses.Status, str]] = ..., hypotheses: _Optional[_Iterable[_Union[Hypothesis, _Mapping]]] = ..., unlisted_log_likelihood: _Optional[float] = ..., searched_area_m2: _Optional[float] = ..., model_version: _Optional[str] = ..., used_beams: _Optional[int] = ..., projections: _Optional[_Iterable[_Union[Projection, _Mapping]]] = ..., motion: _Optional[_Union[_scan_pb2.ScanMotion, _Mapping]] = ..., search: _Optional[_Union[Search, str]] = ..., surfaces: _Optional[_Union[Surfaces, str]] = ..., range_check: _Optional[_Union[RangeCheck, _Mapping]] = ..., cut: _Optional[bool] = ..., inexactness: _Optional[float] = ...) -> None: ...
+    gathered: float
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., status: _Optional[_Union[Hypotheses.Status, str]] = ..., hypotheses: _Optional[_Iterable[_Union[Hypothesis, _Mapping]]] = ..., unlisted_log_likelihood: _Optional[float] = ..., searched_area_m2: _Optional[float] = ..., model_version: _Optional[str] = ..., used_beams: _Optional[int] = ..., projections: _Optional[_Iterable[_Union[Projection, _Mapping]]] = ..., motion: _Optional[_Union[_scan_pb2.ScanMotion, _Mapping]] = ..., search: _Optional[_Union[Search, str]] = ..., surfaces: _Optional[_Union[Surfaces, str]] = ..., range_check: _Optional[_Union[RangeCheck, _Mapping]] = ..., cut: _Optional[bool] = ..., inexactness: _Optional[float] = ..., gathered: _Optional[float] = ...) -> None: ...
 
 class Obstacles(_message.Message):
     __slots__ = ("timestamp", "frame_id", "pose", "mask", "error", "error_energy", "confidence", "sensor_x", "sensor_y", "map_x", "map_y", "model_version")

@@ -11,7 +11,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RawScan(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "mount", "upside_down", "angle_min", "angle_increment", "range_min", "range_max", "ranges", "time_increment", "stamped_after")
+    __slots__ = ("timestamp", "frame_id", "mount", "upside_down", "angle_min", "angle_increment", "range_min", "range_max", "ranges", "time_increment", "stamped_after", "gathered")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     MOUNT_FIELD_NUMBER: _ClassVar[int]
@@ -23,6 +23,7 @@ class RawScan(_message.Message):
     RANGES_FIELD_NUMBER: _ClassVar[int]
     TIME_INCREMENT_FIELD_NUMBER: _ClassVar[int]
     STAMPED_AFTER_FIELD_NUMBER: _ClassVar[int]
+    GATHERED_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     mount: _geometry_pb2.Pose2
@@ -34,10 +35,11 @@ class RawScan(_message.Message):
     ranges: _containers.RepeatedScalarFieldContainer[float]
     time_increment: float
     stamped_after: float
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., upside_down: _Optional[bool] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ..., time_increment: _Optional[float] = ..., stamped_after: _Optional[float] = ...) -> None: ...
+    gathered: float
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., upside_down: _Optional[bool] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ..., time_increment: _Optional[float] = ..., stamped_after: _Optional[float] = ..., gathered: _Optional[float] = ...) -> None: ...
 
 class Scan(_message.Message):
-    __slots__ = ("timestamp", "frame_id", "mount", "angle_min", "angle_increment", "range_min", "range_max", "ranges", "sequence", "motion")
+    __slots__ = ("timestamp", "frame_id", "mount", "angle_min", "angle_increment", "range_min", "range_max", "ranges", "sequence", "motion", "gathered")
     TIMESTAMP_FIELD_NUMBER: _ClassVar[int]
     FRAME_ID_FIELD_NUMBER: _ClassVar[int]
     MOUNT_FIELD_NUMBER: _ClassVar[int]
@@ -48,6 +50,7 @@ class Scan(_message.Message):
     RANGES_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     MOTION_FIELD_NUMBER: _ClassVar[int]
+    GATHERED_FIELD_NUMBER: _ClassVar[int]
     timestamp: _timestamp_pb2.Timestamp
     frame_id: str
     mount: _geometry_pb2.Pose2
@@ -58,7 +61,8 @@ class Scan(_message.Message):
     ranges: _containers.RepeatedScalarFieldContainer[float]
     sequence: int
     motion: ScanMotion
-    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ..., sequence: _Optional[int] = ..., motion: _Optional[_Union[ScanMotion, _Mapping]] = ...) -> None: ...
+    gathered: float
+    def __init__(self, timestamp: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frame_id: _Optional[str] = ..., mount: _Optional[_Union[_geometry_pb2.Pose2, _Mapping]] = ..., angle_min: _Optional[float] = ..., angle_increment: _Optional[float] = ..., range_min: _Optional[float] = ..., range_max: _Optional[float] = ..., ranges: _Optional[_Iterable[float]] = ..., sequence: _Optional[int] = ..., motion: _Optional[_Union[ScanMotion, _Mapping]] = ..., gathered: _Optional[float] = ...) -> None: ...
 
 class ScanMotion(_message.Message):
     __slots__ = ("timestamp", "since", "motion", "covariance", "explained", "repeats", "longest_step", "watched")

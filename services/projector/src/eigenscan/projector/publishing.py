@@ -86,6 +86,7 @@ def _answer(scan: Scan, site: Site, seen: Observation, **fields: Any) -> Hypothe
         model_version=site.version,
         used_beams=seen.returned,
         inexactness=site.inexactness,
+        gathered=scan.gathered,
         motion=scan.motion if scan.HasField("motion") else None,
         **fields,
     )

@@ -102,6 +102,7 @@ class Gathering:
             angle_min=-np.pi,
             angle_increment=TURN / BEAMS,
             ranges=ranges.tolist(),
+            gathered=self._way,
         )
 
     def _base_at(self, at: int) -> Array | None:

@@ -215,6 +215,7 @@ class ScanIngestCore:
             range_min=range_min,
             range_max=range_max,
             sequence=lidar.published,
+            gathered=raw.gathered,
         )
         put_floats(scan, Scan.RANGES_FIELD_NUMBER, sweep.ranges)
         if lidar.newest is not None and time < lidar.newest:

@@ -73,6 +73,8 @@ class Observation:
     """Whether places as likely as the last one may be missing."""
     inexactness: float = 0.0
     """m, how far the map's surfaces may be from where it draws them: standard deviation."""
+    gathered: float = 0.0
+    """m, over which scans share what they show, because each was put together of many sweeps."""
 
     @property
     def alike(self) -> float:
@@ -134,6 +136,7 @@ def observe(
         gains(message.range_check) if message.HasField("range_check") else None,
         message.cut,
         message.inexactness if 0.0 <= message.inexactness <= THICKEST_M else 0.0,
+        message.gathered if 0.0 <= message.gathered < FARTHEST_M else 0.0,
     )
 
 

@@ -373,7 +373,7 @@ class RobotTracker:
     def _follow(self, seen: Observation) -> None:
         """Brings the tracks to the poses of a list that was made around one of them."""
         source = self._source_of(seen)
-        progress = self._news(self._motion(source.fixed, seen.stamp))
+        progress = self._news(self._motion(source.fixed, seen.stamp), seen)
         source.fixed = max(source.fixed, seen.stamp)
         found = seen.likelier_than_unlisted()
         self.belief.tracks = follow(self.belief.tracks, found, self.belief.gate, min(1.0, progress))
@@ -398,7 +398,7 @@ class RobotTracker:
             self._counts["continuity_broken"] += 1
             source.scans = 1
         turn = source.new_turn(moved, self._settings.independence_m, seen.unseen)
-        moved_on = self._news(moved._replace(turn=turn))
+        moved_on = self._news(moved._replace(turn=turn), seen)
         progress = moved_on / seen.alike
         # a new place counts again, more scans from the same one are averaged
         fresh = float(-np.expm1(-seconds / self._settings.memory - progress))
@@ -408,13 +408,17 @@ class RobotTracker:
         rate += self.building.lift_rate(self.belief.tracks)
         carried = happened(rate / len(self._sources) * seconds)
         # local lists in between have fixed the tracks
-        precision = min(1.0, self._news(self._motion(fixed, seen.stamp)) if fixed > last else moved_on)
+        precision = min(1.0, self._news(self._motion(fixed, seen.stamp), seen) if fixed > last else moved_on)
         return Share(weight / peers, progress / peers, precision / peers, carried, broken, peers > 1)
 
-    def _news(self, moved: Motion) -> float:
-        """How far scans are new evidence after a motion: also where the robot stands, for people pass."""
+    def _news(self, moved: Motion, seen: Observation) -> float:
+        """How far a scan is new evidence after a motion: also where the robot stands, for people pass.
+
+        One that was gathered shows again what those before it did (benchmarks/narrow_scans.py).
+        """
         seconds = max(moved.seconds, 1e-3)
-        return self._changed(moved) + STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
+        new = self._changed(moved) + STANDING_RATE * seconds + BLIND_RATE * max(moved.unknown, 0.0)
+        return new / max(1.0, seen.gathered / self._settings.independence_m)
 
     def _changed(self, moved: Motion) -> float:
         """How far scans are new evidence by a motion alone: what was driven counts as far as they changed."""

@@ -17,9 +17,9 @@ CHANNELS = {
 }
 """Those of its recording."""
 LACKED: dict[str, tuple[str, ...]] = {
-    "eigenscan.RawScan": ("time_increment", "stamped_after"),
-    "eigenscan.Scan": ("motion",),
-    "eigenscan.Hypotheses": ("motion", "search", "surfaces", "range_check", "cut", "inexactness"),
+    "eigenscan.RawScan": ("time_increment", "stamped_after", "gathered"),
+    "eigenscan.Scan": ("motion", "gathered"),
+    "eigenscan.Hypotheses": ("motion", "search", "surfaces", "range_check", "cut", "inexactness", "gathered"),
     "eigenscan.RegionModel": ("space",),
     "eigenscan.ModelSet": ("floors",),
     "eigenscan.PoseEstimate": (
