@@ -36,8 +36,8 @@ from eigenscan.schemas.group import selectors
 from eigenscan.schemas.recently_used import RecentlyUsed
 from eigenscan.schemas.wire import encode, encoding
 
-LATCHED_TIMEOUT_S = 3600.0
-"""Longest wait for the whole of a publisher's answer, s: 600 MB of models at 170 kB/s.
+LATCHED_TIMEOUT_S = 7200.0
+"""Longest wait for the whole of a publisher's answer, s: 600 MB of models at 85 kB/s.
 
 Nothing asks again for what did not come in time. Where publisher or link are gone, Zenoh ends the query.
 """
