@@ -100,6 +100,7 @@ def test_the_table_names_fields_that_exist() -> None:
         "searched_area_m2",
         "protection_risk",
         "longest_step",
+        "gathered",
         "factor",
         "offset",
         "apart",
