@@ -12,6 +12,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,12 @@ from eigenscan.ingest.settings import ScanIngestSettings
 from eigenscan.mapbuilder.core import MapbuilderCore
 from eigenscan.mapbuilder.settings import MapbuilderSettings
 from eigenscan.mapbuilder.site import Plan, build_site
-from eigenscan.projector.candidates import Candidates
 from eigenscan.projector.core import ProjectorCore
-from eigenscan.projector.observation import Observation, observe
+from eigenscan.projector.observation import observe
 from eigenscan.projector.projection import find_candidates
 from eigenscan.projector.range_check import Wrong, check, turn_of
 from eigenscan.projector.settings import ProjectorSettings
-from eigenscan.projector.site import SensorView, Site
+from eigenscan.projector.site import Site
 from eigenscan.schemas.channels import SCAN, SCAN_RAW
 from eigenscan.schemas.envelope import Envelope
 from eigenscan.schemas.hypotheses_pb2 import RangeCheck
@@ -153,10 +153,7 @@ def _checks(
             if scan.channel is SCAN:
                 seen = observe(scan.open(Scan))
                 view = site.view(seen.sensor)
-
-                def search(seen: Observation, view: SensorView = view) -> Candidates:
-                    return find_candidates(site, view, seen, settings)
-
+                search = partial(find_candidates, site, view, settings=settings)
                 yield check(site, seen, search(seen), search, turn_of(received.stamp)), way, new
 
 

@@ -164,19 +164,12 @@ def test_gathered_scans_show_new_places_as_slowly_as_they_forget(
     assert (long - one) / (short - one) == pytest.approx(2.0, rel=0.1)
 
 
-@pytest.mark.parametrize("gathered", [math.nan, math.inf, -1.0, 1e300])
-def test_what_is_no_way_counts_as_none(
-    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, gathered: float
+@pytest.mark.parametrize("field", ["gathered", "inexactness"])
+@pytest.mark.parametrize("metres", [math.nan, math.inf, -1.0, 1e300])
+def test_what_is_no_length_counts_as_none(
+    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, field: str, metres: float
 ) -> None:
-    found = sure_after(make_core(), speaker, poses_of, gathered=gathered)
-    assert found == sure_after(make_core(), speaker, poses_of)
-
-
-@pytest.mark.parametrize("inexactness", [math.nan, math.inf, -1.0, 1e300])
-def test_what_is_no_wall_s_inexactness_counts_as_none(
-    make_core: MakeCore, speaker: Speaker, poses_of: PosesOf, inexactness: float
-) -> None:
-    found = sure_after(make_core(), speaker, poses_of, inexactness=inexactness)
+    found = sure_after(make_core(), speaker, poses_of, **{field: metres})
     assert found == sure_after(make_core(), speaker, poses_of)
 
 
