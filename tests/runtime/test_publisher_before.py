@@ -59,3 +59,30 @@ def test_what_takes_long_over_a_slow_link_comes_all_the_same() -> None:
     agenda.run(3 * 3600.0)
     assert inbox.dropped == {}
     assert len(inbox) == 1
+
+
+def test_who_was_cut_off_takes_the_answer_of_a_successor_whose_clock_was_set_back() -> None:
+    agenda = Agenda()
+    network, clock, inbox = Network(agenda, "1"), MachineClock(agenda), Inbox()
+    site = Bus(network.open("site", clock), after=agenda.after)  # type: ignore[arg-type]
+    robot = Bus(network.open("r", clock), after=agenda.after)  # type: ignore[arg-type]
+    robot.listen([MODEL_SET], ADDRESS, inbox)
+    site.offer([MODEL_SET], ADDRESS)
+    site.publish(Envelope(MODEL_SET, ADDRESS, ModelSet(version="old")))
+    agenda.run(1.0)
+    link = network.link("r", "site")
+    network.cut(link)
+    agenda.run(60.0)
+    site.close()
+    clock.offset_ns -= 3600 * 10**9
+    successor = Bus(network.open("site", clock), after=agenda.after)  # type: ignore[arg-type]
+    successor.offer([MODEL_SET], ADDRESS)
+    successor.publish(Envelope(MODEL_SET, ADDRESS, ModelSet(version="new")))
+    network.mend(link)
+    agenda.run(120.0)
+    received = []
+    while arrival := inbox.take(0.0):
+        message = decode(MODEL_SET, arrival.payload)
+        assert isinstance(message, ModelSet)
+        received.append(message.version)
+    assert received == ["old", "new"]

@@ -216,7 +216,9 @@ class Bus:
         """
 
         def on_token(token: Any) -> None:
-            if token.kind != zenoh.SampleKind.PUT:
+            stands = token.kind == zenoh.SampleKind.PUT
+            intake.on_token(str(token.key_expr).rpartition("/")[2], stands=stands)
+            if not stands:
                 return
             if intake.digests() and patience_s:
                 self._after(patience_s, ask)

@@ -28,6 +28,8 @@ class Intake:
         }
         self._inbox = inbox
         self._newest: dict[str, Any] = {}  # zenoh.Timestamp; its stub lacks the comparison
+        self._gone: set[str] = set()
+        """Sessions whose samples are held, and whose token has ended."""
         self._lock = threading.Lock()
         self.ask_again: dict[str, Callable[[], None]] = {}
         """By a latched channel's name: queries all who publish it now."""
@@ -36,6 +38,14 @@ class Intake:
         """Digests of the newest samples of latched keys, for a query's list of held samples."""
         with self._lock:
             return list(self._held.values())
+
+    def on_token(self, session: str, *, stands: bool) -> None:
+        """A session that answers queries came, or went."""
+        with self._lock:
+            if stands:
+                self._gone.discard(session)
+            elif any(str(stamp.get_id()) == session for stamp in self._newest.values()):
+                self._gone.add(session)
 
     def on_sample(self, sample: Any) -> None:
         """Takes a live sample."""
@@ -101,13 +111,16 @@ class Intake:
     def _is_news(self, key: str, stamp: Any, live: bool) -> bool:
         """Whether a sample is newer than the last of its key.
 
-        Clocks of two publishers may differ, so a live sample of another publisher always counts as newer.
+        Clocks of two publishers may differ, so a live sample of another publisher always counts as newer, and
+        so does its answer once the former publisher is gone.
         """
         if stamp is None:
             return True
         held = self._newest.get(key)
-        if held and (not live or held.get_id() == stamp.get_id()) and stamp <= held:
-            return False
+        if held is not None and stamp <= held:
+            of_other = held.get_id() != stamp.get_id()
+            if not (of_other and (live or str(held.get_id()) in self._gone)):
+                return False
         self._newest[key] = stamp
         return True
 
