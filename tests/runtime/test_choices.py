@@ -106,3 +106,8 @@ def test_every_method_is_of_settings_that_there_are() -> None:
     assert chosen(Choices.of("paper", None, [], EVALUATED)).mapbuilder.spacing == 0.5
     assert chosen(Choices.of("paper", None, [], EVALUATED), spacing=0.3).mapbuilder.spacing == 0.3
     assert chosen(Choices.of("default", None, ["mapbuilder.spacing=1"], EVALUATED)).mapbuilder.spacing == 1.0
+
+
+def test_a_value_may_begin_with_a_dash() -> None:
+    chosen = Choices.of("default", None, ["tracker.instance=-1e-3"], SERVICES)
+    assert load(TrackerOptions, "tracker", chosen.flags(TrackerOptions, "tracker")).instance == "-1e-3"

@@ -67,6 +67,12 @@ def test_what_a_stranger_wrote_is_cut_and_made_printable() -> None:
     assert len(detail) < 3000
 
 
+def test_the_sum_of_ages_does_not_fall_where_a_clock_is_ahead() -> None:
+    monitor = Monitor("probe", "r7", "1.2.3")
+    monitor.dealt_with("scan", time.time_ns() + 60_000_000_000)
+    assert monitor.lag.sums["scan"] == 0.0
+
+
 def test_prometheus_reads_the_metrics() -> None:
     monitor = Monitor("probe", "r7", "1.2.3")
     monitor.turn(OK)

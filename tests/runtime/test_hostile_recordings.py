@@ -1,5 +1,8 @@
 """Files that are no recordings, or were: whatever is in them, they are read or named, and nothing else."""
 
+import errno
+import io
+import os
 import random
 from collections.abc import Callable
 from contextlib import suppress
@@ -174,6 +177,19 @@ def test_a_file_without_any_index_or_statistics_is_read_in_order(tmp_path: Path)
         *(0, 19),
         20,
     )
+
+
+@pytest.mark.parametrize("reads", [_repaired, is_sound, lambda path: list(read(path))])
+def test_a_failing_disk_is_named_with_what_to_do(
+    wholes: list[Path], monkeypatch: pytest.MonkeyPatch, reads: Callable[[Path], object]
+) -> None:
+    class Failing(io.FileIO):
+        def readinto(self, _: object) -> int:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(Path, "open", lambda path, _mode: io.BufferedReader(Failing(path)))
+    with pytest.raises(RecordingError, match=rf"{wholes[0]}: .*does the disk fail\? Copy"):
+        reads(wholes[0])
 
 
 def test_a_bit_of_the_index_costs_nothing_and_is_repaired(wholes: list[Path], tmp_path: Path) -> None:

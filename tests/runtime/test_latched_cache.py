@@ -1,3 +1,4 @@
+import errno
 import os
 from pathlib import Path
 
@@ -55,6 +56,42 @@ def test_what_is_damaged_or_foreign_is_passed_over(tmp_path: Path) -> None:
     (tmp_path / first.name.replace("site", "elsewhere%2Fsite")).write_bytes(b"x\n")
     assert [one.payload for one in LatchedCache(tmp_path).read("site")] == [b"2"]
     assert (tmp_path / "notes.txt").exists()
+
+
+def test_what_is_damaged_is_written_again_once_it_is_received(tmp_path: Path) -> None:
+    LatchedCache(tmp_path).put(model("hall", b"1" * 100))
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-1])
+    cache = LatchedCache(tmp_path)
+    assert not list(cache.read("site"))
+    cache.put(model("hall", b"1" * 100))
+    assert [one.payload for one in LatchedCache(tmp_path).read("site")] == [b"1" * 100]
+
+
+def test_a_service_reads_its_own_channels_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tracker lives on the list of models; the models may be 600 MB."""
+    LatchedCache(tmp_path).put(model("hall", b"1"))
+    LatchedCache(tmp_path).put(Arrival(MODEL_SET, "site/models", b"2", encoding(MODEL_SET)))
+    opened = list[str]()
+    whole = Path.read_bytes
+
+    def read(path: Path) -> bytes:
+        opened.append(path.name)
+        return whole(path)
+
+    monkeypatch.setattr(Path, "read_bytes", read)
+    assert [one.payload for one in LatchedCache(tmp_path).read("site", [MODEL_SET])] == [b"2"]
+    assert len(opened) == 1
+
+
+def test_a_full_disk_leaves_no_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        LatchedCache(tmp_path).put(model("hall", b"1"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_cannot_be_read_is_passed_over(tmp_path: Path) -> None:

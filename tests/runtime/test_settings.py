@@ -112,6 +112,7 @@ def test_an_instance_is_named_after_its_robot() -> None:
         (["--robot", "a*,*b"], ["a* and *b fit the same robots"]),
         (["--robot", "*,b"], ["* and b fit the same robots"]),
         (["--beams", "x", "--spacing", "y"], ["--beams = 'x'", "--spacing = 'y'"]),
+        (["--keep", ""], ["--keep = ''", "give a path, or leave it out"]),
         (["--config", "none.toml"], ["none.toml: cannot be read", "No such file", "--config"]),
     ],
 )
@@ -157,10 +158,15 @@ def test_a_bad_file_is_named_with_place_and_fix(text: str, parts: list[str]) -> 
 
 def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
     Path("robot.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(SettingsError, match=r"robot.toml: is not TOML"):
+    with pytest.raises(SettingsError, match=r"robot.toml: is not TOML: byte 0 is not UTF-8: save"):
         _load("--config", "robot.toml")
     with pytest.raises(SettingsError, match="cannot be read"):
         _load("--config", str(tmp_path))
+
+
+def test_a_file_may_begin_with_a_byte_order_mark() -> None:
+    Path("robot.toml").write_text('\ufeffsite = "hospital"', encoding="utf-8")
+    assert _load("--config", "robot.toml").site == "hospital"
 
 
 def test_other_services_tables_are_theirs() -> None:

@@ -57,10 +57,11 @@ def test_without_its_input_a_service_is_waiting_whatever_else_comes() -> None:
         work.keep_time()
         return monitor.condition()
 
+    assert receive(ODOMETRY, "s/robot/r/odom").detail == "no scan yet"
     assert receive(SCAN, "s/robot/r/scan/front") == Condition(
         Health.STATUS_OK, "well", monitor.condition().counters
     )
-    agenda.run(SILENT_S)
+    agenda.run(agenda.now + SILENT_S)
     starved = receive(ODOMETRY, "s/robot/r/odom")
     assert starved.status == Health.STATUS_WAITING
     assert "scan" in starved.detail

@@ -131,6 +131,8 @@ def test_one_session_has_one_configuration_and_each_service_a_port_of_its_own(tm
 
     reported = read([(["a", "b"], ["--metrics-port", "9100"]), (["c"], [])], find)
     assert [settings.metrics_port for _, settings in reported] == [9100, 9101, None]
+    with pytest.raises(SettingsError, match=r"metrics_port = 65535: .*choose a lower one"):
+        read([(["a", "b"], ["--metrics-port", "65535"])], find)
     with pytest.raises(SettingsError, match="zenoh"):
         read([(["a"], []), (["b"], ["--zenoh", str(tmp_path / "z.json5")])], find)
     with pytest.raises(SettingsError, match="twice"):

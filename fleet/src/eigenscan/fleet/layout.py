@@ -159,7 +159,7 @@ def read(folder: Path) -> Fleet:
 
 def _toml(path: Path) -> dict[str, Any]:
     try:
-        return parse_toml(path.read_text(encoding="utf-8"))
+        return parse_toml(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise UsageError(f"{path}: is not TOML: {error}") from error
 

@@ -16,7 +16,7 @@ from eigenscan.geometry.pose import FARTHEST_M
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.certificates import fault_in
 from eigenscan.runtime.errors import FailedError
-from eigenscan.runtime.health import LEVELS
+from eigenscan.runtime.health import has_fallen
 from eigenscan.runtime.inbox import Arrival, Inbox
 from eigenscan.runtime.session import MEETING, UnreachableError, open_meanwhile
 from eigenscan.schemas.advice_pb2 import Advice
@@ -126,8 +126,7 @@ class Service:
 
     def receive(self, health: Health, now: float) -> None:
         """Takes its next health, at `now`, monotonic s."""
-        before = self.health.counters if self.health is not None else {}
-        if any(health.counters.get(name, 0) < count for name, count in before.items() if name not in LEVELS):
+        if self.health is not None and has_fallen(self.health.counters, health.counters):
             self.falls.append(now)
         self.first = self.first or health
         self.health, self.received_at = health, now

@@ -74,7 +74,7 @@ class Choices:
         flags = [] if self.file is None else ["--config", str(self.file)]
         for name, each in given.items():
             if self.file is None or not each.place.startswith(f"{self.file}:"):
-                flags += [f"--{name.replace('_', '-')}", _text(each.value)]
+                flags.append(f"--{name.replace('_', '-')}={_text(each.value)}")  # a value may begin with -
         return flags
 
     def _given(

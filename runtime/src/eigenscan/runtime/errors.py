@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from errno import EDQUOT, EFBIG, ENOSPC, EROFS
+from errno import EDQUOT, EFBIG, EIO, ENOSPC, EROFS
 
 from eigenscan.runtime.printable import printable
 
@@ -42,6 +42,7 @@ _FIXES_BY_NUMBER = {
     EDQUOT: ": make room, or name another place",
     EFBIG: ": raise the limit (ulimit -f), or name another place",
     EROFS: ": name another place",
+    EIO: ": does the disk fail? Copy what can be read to another one",
 }
 _FIXES: dict[type[OSError], str] = {
     FileNotFoundError: ": check the path",
@@ -51,9 +52,13 @@ _FIXES: dict[type[OSError], str] = {
 }
 
 
+def fix_of(error: OSError, other: str = "") -> str:
+    """What mends a failure to read or write a file, after a colon; `other` where nothing better is known."""
+    return _FIXES_BY_NUMBER.get(error.errno or 0) or _FIXES.get(type(error), other)
+
+
 def one_line(error: Exception) -> str:
     """The error in one line that a terminal can show."""
     if isinstance(error, OSError) and error.filename is not None:
-        fix = _FIXES_BY_NUMBER.get(error.errno or 0) or _FIXES.get(type(error), "")
-        return printable(f"{error.filename}: {error.strerror}{fix}")
+        return printable(f"{error.filename}: {error.strerror}{fix_of(error)}")
     return printable(str(error)) or type(error).__name__

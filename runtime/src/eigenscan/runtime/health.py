@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from eigenscan.runtime.clock import Clock
@@ -25,6 +25,12 @@ WAITING = "waiting"
 """Of each service: samples in its inbox."""
 LEVELS = frozenset({WAITING, "lidars", "mcap_slowest_ms", "positions", "regions"})
 """Counters of the health whose rate has no meaning: gauges for Prometheus."""
+
+
+def has_fallen(before: Mapping[str, int], after: Mapping[str, int]) -> bool:
+    """Whether a counter of the health fell: then another process speaks, or the service began again."""
+    return any(after.get(name, 0) < count for name, count in before.items() if name not in LEVELS)
+
 
 DUPLICATE_HINT = "give each instance of a service its own --instance"
 DUPLICATE_FORGOTTEN_S = 3.0
@@ -95,7 +101,8 @@ class Monitor:
 
     def dealt_with(self, channel: str, stamp_ns: int) -> None:
         """Records a message's age at the end of its handling."""
-        self.lag.observe(channel, (self._clock.time_ns() - stamp_ns) * 1e-9)
+        # a stamp ahead of this clock has no age, and a counter must not fall
+        self.lag.observe(channel, max(self._clock.time_ns() - stamp_ns, 0) * 1e-9)
 
     def note_duplicate(self) -> None:
         """Records that another process publishes under this one's name."""
@@ -152,9 +159,10 @@ class Monitor:
 
         try:
             self._server = Server((host, port), self)
-        except OSError as error:
+        except (OSError, TypeError, UnicodeError) as error:  # the latter two: no name of a host
+            why = error.strerror if isinstance(error, OSError) else error
             raise SettingsError(
-                f"metrics_port = {port}: cannot listen on {host}: {error.strerror}: "
+                f"metrics_port = {port}: cannot listen on {host}: {why}: "
                 "choose another port, or 0; or another metrics_host"
             ) from error
         threading.Thread(target=self._server.serve_forever, args=(0.1,), name="metrics", daemon=True).start()

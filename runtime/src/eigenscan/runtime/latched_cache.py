@@ -14,13 +14,14 @@ import hashlib
 import os
 import shutil
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote, unquote
 
 from eigenscan.runtime.inbox import Arrival
-from eigenscan.schemas.channels import find
+from eigenscan.schemas.channels import CHANNELS, Channel, find
 
 GENERATIONS = 2
 FAILED_STARTS = 2
@@ -71,20 +72,24 @@ class LatchedCache:
         self._read: set[tuple[str, str]] = set()
         """Key and digest of what was read, until its reader puts it."""
 
-    def read(self, site: str) -> Iterator[Arrival]:
-        """All samples of a site, oldest first; damaged, unreadable and foreign files are skipped."""
+    def read(self, site: str, channels: Sequence[Channel] = CHANNELS) -> Iterator[Arrival]:
+        """A site's samples of `channels`, oldest first; what is damaged or unreadable is forgotten."""
         everything = [kept for history in self._kept.values() for kept in history]
         for kept in sorted(everything, key=lambda kept: kept.number):
             found = find(kept.key)
+            if found is None or found[1]["site"] != site or found[0] not in channels:
+                continue
             try:
                 encoding, _, payload = kept.path.read_bytes().partition(b"\n")
             except OSError:
+                payload = None
+            if payload is None or digest(payload).hex() != kept.digest:
+                self._kept[kept.key].remove(kept)
+                with suppress(OSError):
+                    kept.path.unlink()
                 continue
-            if found is None or found[1]["site"] != site:
-                continue
-            if digest(payload).hex() == kept.digest:
-                self._read.add((kept.key, kept.digest))
-                yield Arrival(found[0], kept.key, payload, encoding.decode(errors="replace"))
+            self._read.add((kept.key, kept.digest))
+            yield Arrival(found[0], kept.key, payload, encoding.decode(errors="replace"))
 
     def try_out(self) -> bool:
         """Notes a start with what is cached, until `prove`. Raises OSError.
@@ -125,11 +130,16 @@ class LatchedCache:
         if history and history[-1].digest == known:
             return
         name = f"{self._next:09d}-{known}-{quote(sample.key, safe='')}"
-        with self._partial.open("wb") as file:
-            file.write(sample.encoding.encode() + b"\n" + sample.payload)
-            file.flush()
-            os.fsync(file.fileno())
-        self._partial.replace(self._folder / name)
+        try:
+            with self._partial.open("wb") as file:
+                file.write(sample.encoding.encode() + b"\n" + sample.payload)
+                file.flush()
+                os.fsync(file.fileno())
+            self._partial.replace(self._folder / name)
+        except OSError:  # a full disk needs the room
+            with suppress(OSError):
+                self._partial.unlink()
+            raise
         history.append(_Kept(self._folder / name, self._next, known, sample.key))
         self._next += 1
         while len(history) > GENERATIONS:

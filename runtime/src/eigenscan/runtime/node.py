@@ -391,9 +391,7 @@ class Node:
         if self.settings.keep is None:
             return []
         self._latched_cache = LatchedCache(self.settings.keep, self.service.name)
-        known = [
-            sample for sample in self._latched_cache.read(self.settings.site) if sample.channel in inputs
-        ]
+        known = list(self._latched_cache.read(self.settings.site, inputs))
         try:
             is_set_aside = bool(known) and self._latched_cache.try_out()
         except OSError as error:

@@ -7,10 +7,12 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from errno import EIO
 from functools import partial
 from pathlib import Path
 from typing import IO, cast
 
+from eigenscan.runtime.errors import fix_of
 from eigenscan.runtime.recording import DAMAGE, PROFILE, RecordingError, WholeReads, message_count
 from eigenscan.runtime.recording.files import is_indexed, opened, refuse_bomb, refuse_other_chunks
 from eigenscan.schemas.whole import whole
@@ -85,7 +87,9 @@ def repair(damaged: Path, target: Path, moved: Moved = lambda _bytes: None) -> S
             if message_count(fresh) != found.messages:
                 raise RecordingError(f"{fresh}: does not hold what was written: is the disk full?")
     except OSError as error:
-        raise RecordingError(f"{error.filename or target}: {error.strerror}: name another place") from error
+        place = error.filename or (damaged if error.errno == EIO else target)
+        fix = fix_of(error, ": name another place")
+        raise RecordingError(f"{place}: {error.strerror}{fix}") from error
     return found
 
 
@@ -99,7 +103,7 @@ def is_sound(path: Path, moved: Moved = lambda _bytes: None) -> bool:
         for _ in _records(path, found, moved):
             pass
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}{fix_of(error)}") from error
     if found.cut or found.breaks or found.lost_chunks or found.beyond:
         return False
     with suppress(RecordingError), opened(path) as file:

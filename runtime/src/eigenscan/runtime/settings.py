@@ -26,11 +26,13 @@ from eigenscan.runtime.printable import shortened
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE, is_chunk
 from eigenscan.schemas.group import EVERY, chunk_of, instance_name, patterns
 from eigenscan.schemas.settings import Settings
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 from pydantic_core import ErrorDetails
 
 S = TypeVar("S", bound="ServiceSettings")
 M = TypeVar("M", bound=BaseModel)
+
+LAST_PORT = 65535
 
 _SERVED = frozenset(("site", "robot", "instance"))
 """Settings that form the keys of a service's core."""
@@ -76,7 +78,7 @@ class ServiceSettings(Settings):
     metrics_port: int | None = Field(
         None,
         ge=0,
-        le=65535,
+        le=LAST_PORT,
         description="port for /metrics and /healthz; 0 takes a free one; default: none",
     )
     metrics_host: str = Field("127.0.0.1", description="address for /metrics and /healthz")
@@ -118,6 +120,14 @@ class ServiceSettings(Settings):
     def answering_json(self) -> str:
         """What the core's answers may depend on, as JSON."""
         return self.model_dump_json(include=set(self.answering()))
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_empty_path(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuses a path of no characters: it would mean the working folder."""
+        if value == "" and _is_path(cls.model_fields[str(info.field_name)].annotation):
+            raise ValueError("must not be empty: give a path, or leave it out")
+        return value
 
     @field_validator("site", "instance")
     @classmethod
@@ -279,6 +289,10 @@ def typed(kind: type[ServiceSettings], name: str, text: str) -> Any:
         return text
 
 
+def _is_path(annotation: Any) -> bool:
+    return Path in (annotation, *typing.get_args(annotation))
+
+
 def _is_plain(annotation: Any) -> bool:
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
         return all(_is_plain(one) for one in typing.get_args(annotation))
@@ -294,7 +308,7 @@ def read_table(
     try:
         if path.stat().st_size > MOST_TABLE_BYTES:
             raise SettingsError(f"{path}: has more than {MOST_TABLE_BYTES} bytes: check {asked}")
-        content = parse_toml(path.read_text(encoding="utf-8"))
+        content = parse_toml(path.read_bytes())
     except SettingsError:
         raise
     except OSError as error:
@@ -326,11 +340,15 @@ def read_table(
     }
 
 
-def parse_toml(text: str) -> dict[str, Any]:
+def parse_toml(content: bytes) -> dict[str, Any]:
     """The content of a TOML file. Raises ValueError or RecursionError if it is not TOML.
 
     The parser's time grows with the square of a key's parts, so a line with very many dots is refused.
     """
+    try:
+        text = content.decode("utf-8-sig")  # some editors put a byte order mark first
+    except UnicodeDecodeError as error:
+        raise ValueError(f"byte {error.start} is not UTF-8: save the file as UTF-8") from error
     if any(line.count(".") > MOST_DOTS for line in text.splitlines()):
         raise ValueError(f"a line with more than {MOST_DOTS} dots")
     return tomllib.loads(text)

@@ -32,7 +32,7 @@ from eigenscan.runtime.node import (
     exit_with,
 )
 from eigenscan.runtime.session import open_meanwhile
-from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
+from eigenscan.runtime.settings import LAST_PORT, ServiceSettings, SettingsError, load
 from eigenscan.runtime.stop_event import StopEvent
 from eigenscan.runtime.work import CONDITION_PERIOD_S, Work
 
@@ -86,6 +86,11 @@ def _own_ports(chosen: Chosen) -> Chosen:
         port = settings.metrics_port
         while port and port in taken:
             port += 1
+        if port and port > LAST_PORT:
+            raise SettingsError(
+                f"metrics_port = {settings.metrics_port}: each service of a process takes one more, and "
+                f"there is none above {LAST_PORT}: choose a lower one"
+            )
         if port:
             taken.add(port)
         result.append((service, settings.model_copy(update={"metrics_port": port})))

@@ -55,7 +55,7 @@ class Work:
         self._core, self._inbox, self._publish_one, self._keep = core, inbox, publish, keep
         self._monitor, self._counters, self._stop, self._prompt = monitor, counters, stop, prompt
         self._clock, self._lives_on = clock, lives_on
-        self._fed_at = -math.inf
+        self._fed_at: float | None = None
         self._due, self._tick_due = 0.0, (0.0 if TICK in core.inputs else math.inf)
         self._too_late = 0
         self._turn = threading.Lock()
@@ -203,6 +203,9 @@ class Work:
 
     def _lacks(self) -> str:
         """What no longer comes, in words; empty where it does."""
-        if self._lives_on is None or self._clock.monotonic() - self._fed_at <= SILENT_S:
+        if self._lives_on is None:
             return ""
-        return f"no {self._lives_on.name} for more than {SILENT_S:.0f} s"
+        if self._fed_at is None:
+            return f"no {self._lives_on.name} yet"
+        silent = self._clock.monotonic() - self._fed_at > SILENT_S
+        return f"no {self._lives_on.name} for more than {SILENT_S:.0f} s" if silent else ""

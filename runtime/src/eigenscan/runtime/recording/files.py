@@ -13,6 +13,7 @@ from typing import IO, cast
 
 import lz4.frame
 import zstandard
+from eigenscan.runtime.errors import fix_of
 from eigenscan.schemas.channels import ContractError
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError
 from mcap.reader import McapReader, NonSeekingReader, make_reader
@@ -151,7 +152,8 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
             f"{path}: is no readable recording: no MCAP; eigenscan import makes one of a log"
         ) from error
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}: check the path") from error
+        fix = fix_of(error, ": check the path")
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}{fix}") from error
     except ContractError as error:
         raise RecordingError(f"{path}: {error}: read it with the release that wrote it") from error
     except DAMAGE as error:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from eigenscan.runtime.errors import UsageError
-from eigenscan.runtime.health import LEVELS
+from eigenscan.runtime.health import has_fallen
 from eigenscan.runtime.recording import (
     Record,
     clock_set_back,
@@ -42,8 +42,8 @@ class Reported:
 
     def receive(self, health: Health) -> None:
         """Takes its next word."""
-        received = {name: count for name, count in health.counters.items() if name not in LEVELS}
-        self.restarts += any(count > received.get(name, 0) for name, count in self.counters.items())
+        received = dict(health.counters)
+        self.restarts += has_fallen(self.counters, received)
         if self.is_known:  # not its first word: that may tell of the time before the recording
             self.grown.update({name: max(n - self.counters.get(name, 0), 0) for name, n in received.items()})
         self.is_known, self.version, self.counters = True, health.package_version, received
