@@ -67,6 +67,16 @@ def test_a_changed_field_is_a_break(today: FileDescriptorSet, attribute: str, va
     assert found[0].startswith("eigenscan.Scan.range_max = 7 ")
 
 
+def test_optional_that_is_gone_is_a_break(today: FileDescriptorSet) -> None:
+    changed = copy.deepcopy(today)
+    fields = _message(changed, "Track").field
+    field = next(one for one in fields if one.proto3_optional)
+    field.ClearField("proto3_optional")
+    field.ClearField("oneof_index")
+    (line,) = breaks(today, changed)
+    assert line.startswith(f"eigenscan.Track.{field.name} = {field.number} is now ")
+
+
 def test_a_vanished_message_or_enum_value_is_a_break(today: FileDescriptorSet) -> None:
     changed = copy.deepcopy(today)
     for file in changed.file:

@@ -74,7 +74,10 @@ def _message_entries(
     place = prefix + message.name
     for field in message.field:
         kind = field.type_name or FieldDescriptorProto.Type.Name(field.type)
-        yield (place, field.number), (field.name, kind, FieldDescriptorProto.Label.Name(field.label))
+        label = FieldDescriptorProto.Label.Name(field.label)
+        if field.HasField("oneof_index"):  # `optional` is a oneof of one: 0 is then not the same as nothing
+            label += f" of {message.oneof_decl[field.oneof_index].name}"
+        yield (place, field.number), (field.name, kind, label)
     for enum in message.enum_type:
         yield from _enum_entries(enum, f"{place}.")
     for nested in message.nested_type:
