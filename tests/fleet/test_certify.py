@@ -100,6 +100,25 @@ def test_certificates_are_for_what_they_are_for_and_not_without_end(folder: Path
     assert "10.0.0.5" in [str(one) for one in names.value.get_values_for_type(x509.IPAddress)]
 
 
+def test_a_name_may_have_any_letters(tmp_path: Path) -> None:
+    done = run("certify", "--site", "s😀", "--address", "h", "--robot", "r😀", "-o", tmp_path / "fleet")
+    assert done.exit_code == 0, done.stderr
+    assert layout.read(tmp_path / "fleet").site == "s😀"
+
+
+@pytest.mark.parametrize(
+    ("name", "held"), [("r17", "robots/r17/robot.crt"), ("recorder", "site/recorder.crt")]
+)
+def test_whose_certificate_is_damaged_is_shut_out_all_the_same(folder: Path, name: str, held: str) -> None:
+    was = x509.load_pem_x509_certificate((folder / held).read_bytes()).subject.rfc4514_string()
+    (folder / held).write_text("damaged")
+    done = run("revoke", name, "-o", folder)
+    assert done.exit_code == 0, done.stderr
+    assert not (folder / held).exists()
+    assert was.removeprefix("CN=") not in (folder / "site/router.json5").read_text()
+    assert (folder / "revoked" / f"{'site' if name == 'recorder' else 'robot'}.{name}.damaged.crt").exists()
+
+
 def test_a_robot_more_changes_the_routers_rules_and_the_operators_list(folder: Path) -> None:
     before = content(folder)
     assert run("certify", "--robot", "r18", "-o", folder).exit_code == 0
@@ -114,7 +133,7 @@ def test_a_robot_more_changes_the_routers_rules_and_the_operators_list(folder: P
     ("arguments", "parts"),
     [
         (("certify", "--robot", "r17"), ("r17", "fleet revoke r17")),
-        (("certify", "--robot", "r18", "--robot", "r18"), ("r18",)),
+        (("certify", "--robot", "r18", "--robot", "r18"), ("r18", "twice")),
         (("certify", "--site", "other"), ("--site", "fleet.toml")),
         (("certify", "--robot", "a/b"), ("a/b", "chunk")),
         (("certify", "--robot", "recorder"), ("recorder", "service of the site")),
@@ -145,6 +164,7 @@ def test_what_it_refuses_in_one_line_and_leaves_as_it_was(
             ("certify", "--site", "s", "--address", "h:7447"),
             "or an IP address, without a port\n",
         ),
+        (("certify", "--site", "s", "--address", "fe80::1%eth0"), "without one"),
         (("certify", "--site", "s" * 60, "--address", "h"), "too long"),
         (("certify", "--site", "s", "--address", "h", "--robot", "r1", "--robot", "r" * 50), "too long"),
         (("configure",), "fleet certify"),

@@ -114,10 +114,13 @@ def _group(robots: str) -> str:
 
 def _host(name: str) -> str:
     try:
-        ip_address(name)
+        address = ip_address(name)
     except ValueError:
         if not HOST_NAME.fullmatch(name):
             raise ValueError("must be a host name or an IP address, without a port") from None
+        return name
+    if getattr(address, "scope_id", None):
+        raise ValueError("a zone such as %eth0 holds on one machine only: give an address without one")
     return name
 
 
@@ -188,7 +191,8 @@ def _place(fault: ErrorDetails) -> str:
 
 def begin(folder: Path, site: str, addresses: Sequence[str]) -> None:
     """Writes fleet.toml of a new fleet."""
-    text = TEMPLATE.format(site=json.dumps(site), addresses=json.dumps(list(addresses)))
+    quoted = json.dumps(site, ensure_ascii=False)  # TOML has no surrogates
+    text = TEMPLATE.format(site=quoted, addresses=json.dumps(list(addresses)))
     _begin(folder / "fleet.toml", text)
 
 
@@ -349,7 +353,12 @@ def revoke(folder: Path, name: str) -> Path:
     if not held.exists():
         known = ", ".join([*robots(folder), *of_service])
         raise UsageError(f"{name}: has no certificate; choose one of {known}")
-    kept = folder / "revoked" / f"{common_name(held)}.crt"
+    try:
+        whose = common_name(held)
+    except UsageError:  # damaged: whom the router admits is listed, so it goes all the same
+        kind = "group" if name in groups else "site" if name in of_service else "robot"
+        whose = f"{kind}.{name}.damaged"
+    kept = folder / "revoked" / f"{whose}.crt"
     kept.parent.mkdir(exist_ok=True)
     held.rename(kept)
     with mended_by_configure(folder, f"{name} is NOT shut out yet"):

@@ -83,7 +83,9 @@ def _planned(folder: Path, site: str | None, addresses: Sequence[str], names: Se
         wanted = layout.in_force(folder).model_dump()
         layout.check(folder, names)
     for name in names:
-        if name in layout.robots(folder) or names.count(name) > 1:
+        if names.count(name) > 1:
+            raise UsageError(f"--robot {name}: is given twice: leave one out")
+        if name in layout.robots(folder):
             raise UsageError(
                 f"--robot {name}: has a certificate; for a new one: eigenscan fleet revoke {name} -o {folder}"
             )
