@@ -40,7 +40,9 @@ def test_a_robot_of_ones_own_gets_its_pose_and_ctrl_c_ends_all(way: list[str], t
     site = f"test-{uuid4().hex}"
     stage = Stage(grid, Scenario(seconds=6.0, people=0, site=site, robot="r17"))
     session, zenoh = open_hub(tmp_path / "net")
+    (tmp_path / "site.toml").write_text('instance = "site"')  # of the site's server
     command = [*EIGENSCAN, "run", "--map", str(tmp_path / "map.yaml"), "--robot", "r17", "--site", site,
+               "--settings", str(tmp_path / "site.toml"),
                "--zenoh", str(zenoh), "--no-viewer", "--out", str(tmp_path / "out"), *way]  # fmt: skip
     launch = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     with FleetView(session, site) as view, launch as process:
@@ -97,6 +99,22 @@ def test_an_open_endpoint_must_be_asked_for_in_words(tmp_path: Path) -> None:
     _expect_one_line(
         tmp_path, ["--map", str(tmp_path / "map.yaml"), "--listen", "tcp/0.0.0.0:7447"], "--insecure"
     )
+
+
+@pytest.mark.parametrize(
+    ("flags", "part"),
+    [
+        (["--insecure"], "--listen"),
+        (["--ros2-router", "tcp/10.0.0.9:7447"], "--ros2"),
+        (["--set", "tracker.instance=a"], "tracker.instance: is the same for all services: give --robot"),
+        (["--set", "projector.site=a"], "projector.site: is the same for all services: give --site"),
+    ],
+)
+def test_what_would_have_no_effect_or_part_the_services_is_refused(
+    tmp_path: Path, flags: list[str], part: str
+) -> None:
+    write_map(office().render(), tmp_path / "map.yaml")
+    _expect_one_line(tmp_path, ["--map", str(tmp_path / "map.yaml"), *flags], part)
 
 
 def test_a_name_that_is_no_part_of_a_key_starts_nothing(tmp_path: Path) -> None:

@@ -16,6 +16,9 @@ from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
 REPLACEABLE = ("scan-ingest", "projector", "tracker", "mapbuilder")
 
+DECIDED = {"site", "robot", "instance", "zenoh"}
+"""Settings that run itself gives to all services."""
+
 MAP_S = 30.0
 """Longest wait for the robot's own map, s."""
 
@@ -51,8 +54,11 @@ def run(
         typer.Option(help="also the bridge to a robot with ROS 2, by what it speaks on Zenoh: docs/ros2.md"),
     ] = None,
     ros2_router: Annotated[
-        str, typer.Option(help="with --ros2: where the robot's rmw_zenohd or DDS bridge listens")
-    ] = "tcp/localhost:7447",
+        str | None,
+        typer.Option(
+            help="with --ros2: where the robot's rmw_zenohd or DDS bridge listens; else tcp/localhost:7447"
+        ),
+    ] = None,
     without: Annotated[
         list[str] | None,
         typer.Option(
@@ -111,13 +117,17 @@ def run(
         raise UsageError(f"--without {unknown[0]}: choose from {', '.join(REPLACEABLE)}")
     if map_option is not None or (map_or_model is None and ros2 is None and "mapbuilder" not in left_out):
         map_or_model = positional("MAP, a map_server yaml or a model folder,", map_or_model, map_option)
+    if ros2_router and not ros2:
+        raise UsageError(f"--ros2-router {ros2_router}: give --ros2 as well, or leave it out")
     _check_listen(listen or [], insecure, zenoh)
     chosen = _flags(method, settings_file, changes or [])
     from eigenscan.cli.launch.attend import attend
     from eigenscan.cli.launch.services import Pipeline
 
     folder = out or Path("out") / f"run-{datetime.now():%Y%m%d-%H%M%S}"
-    ros2_flags = ["--dialect", ros2, "--ros-router", ros2_router] if ros2 else None
+    ros2_flags = ["--dialect", ros2] if ros2 else None
+    if ros2_flags and ros2_router:
+        ros2_flags += ["--ros-router", ros2_router]
     if map_or_model is None and ros2_flags and "mapbuilder" not in left_out:
         map_or_model = _take_map([*ros2_flags, *chosen["ros-bridge"]], folder / "map.yaml")
         chosen["ros-bridge"] += ["--map", ""]  # the robot publishes its own map
@@ -139,11 +149,17 @@ def _flags(method: str, file: Path | None, changes: list[str]) -> dict[str, list
     from eigenscan.workbench.settings_page import settings_of
 
     choices = Choices.of(method, file, changes, [*SERVICES, "ros-bridge"])
+    for service, changed in choices.changes.items():
+        if decided := sorted(DECIDED & changed.keys()):
+            option = "--robot, after which it is named" if decided[0] == "instance" else f"--{decided[0]}"
+            raise UsageError(f"--set {service}.{decided[0]}: is the same for all services: give {option}")
     return {name: choices.flags(settings_of(name), name) for name in [*SERVICES, "ros-bridge"]}
 
 
 def _check_listen(listen: list[str], insecure: bool, zenoh: Path | None) -> None:
     """Refuses to open a robot to the network by accident."""
+    if insecure and not listen:
+        raise UsageError("--insecure: opens nothing by itself: give --listen, or leave it out")
     if listen and zenoh:
         raise UsageError(
             f"--listen {listen[0]}: {zenoh} decides that: put the endpoint into its listen.endpoints"

@@ -13,6 +13,7 @@ from eigenscan.cli.launch.together import BETWEEN, TOGETHER, TOGETHER_MODULE
 from eigenscan.fleet.view import FleetView
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.stop_event import StopEvent
+from eigenscan.schemas.group import instance_name
 from eigenscan.schemas.health_pb2 import Health
 
 READY_S = 600.0
@@ -46,7 +47,8 @@ class Pipeline:
 
     def start(self, supervisor: Supervisor) -> None:
         """Starts all services, the recorder first, so that it receives everything."""
-        shared = ["--site", self.site, "--robot", self.robot]
+        # a settings file may be of a machine whose services have another name
+        shared = ["--site", self.site, "--robot", self.robot, "--instance", instance_name(self.robot)]
         if self.zenoh:
             shared += ["--zenoh", str(self.zenoh)]
         recorder = ["--mcap", str(self.mcap)]
