@@ -1,6 +1,9 @@
 """A signal ends the sleep, wherever in the process it comes in."""
 
+import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -39,3 +42,30 @@ def test_a_closed_terminal_ends_what_nohup_does_not_keep(before: signal.Handlers
     finally:
         signal.signal(signal.SIGHUP, usual)
         stop.close()
+
+
+WRITES_ON = """
+import signal, sys
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run under nohup
+from eigenscan.runtime.stop_event import StopEvent
+stop = StopEvent()
+with stop.on_signals():
+    print("ready", flush=True)
+    while not stop.stopping:
+        stop.wait(60.0)
+    print("ended", flush=True)
+sys.exit(stop.number)
+"""
+
+
+def test_who_writes_to_a_terminal_that_was_closed_goes_on() -> None:
+    """`run` ended with an input/output error before it had ended its services."""
+    ours, terminal = os.openpty()
+    command = [sys.executable, "-c", WRITES_ON]
+    with subprocess.Popen(command, stdout=terminal, stderr=subprocess.PIPE, text=True) as process:
+        os.close(terminal)
+        assert os.read(ours, 100).startswith(b"ready")
+        os.close(ours)
+        process.send_signal(signal.SIGHUP)
+        assert process.communicate(timeout=60)[1] == ""
+    assert process.returncode == signal.SIGHUP

@@ -134,15 +134,24 @@ def test_a_service_that_dies_ends_the_demo_with_its_name_and_last_log_lines(tmp_
     assert _all_gone(children)
 
 
-def test_the_demo_can_be_ended_while_it_starts(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "code", "words"),
+    [
+        (signal.SIGINT, 130, "eigenscan demo: ended by Ctrl-C: before the robot was found again\n"),
+        (signal.SIGTERM, -signal.SIGTERM, ""),
+    ],
+)
+def test_the_demo_can_be_ended_while_it_starts(
+    tmp_path: Path, number: signal.Signals, code: int, words: str
+) -> None:
     command = [*DEMO, "--headless", "--out", str(tmp_path / "out"), "--seconds", "60"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert _eventually(lambda: len(_children(process.pid)) >= len(SERVICES), PATIENCE_S)
         children = _children(process.pid)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         _, errors = process.communicate(timeout=600)
-    assert process.returncode == 130
-    assert errors == "eigenscan demo: ended by Ctrl-C: before the robot was found again\n"
+    assert process.returncode == code
+    assert errors == words
     assert _all_gone(children)
 
 

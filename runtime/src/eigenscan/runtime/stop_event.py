@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Protocol
 
+from eigenscan.runtime.closed_streams import leave_terminal
+
 
 class Stopping(Protocol):
     """A flag that ends a service."""
@@ -31,6 +33,8 @@ class StopEvent:
 
     def __init__(self) -> None:
         self.stopping = False
+        self.number: int | None = None
+        """Of the signal that requested the end."""
         self._read, self._write = socket.socketpair()
         self._read.setblocking(False)
         self._write.setblocking(False)
@@ -58,7 +62,10 @@ class StopEvent:
             yield
             return
 
-        def handler(_number: int, _frame: FrameType | None) -> None:
+        def handler(number: int, _frame: FrameType | None) -> None:
+            self.number = number
+            if number == signal.SIGHUP:
+                leave_terminal()
             self.stop()
 
         numbers = [signal.SIGTERM, signal.SIGINT]

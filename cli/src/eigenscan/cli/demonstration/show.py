@@ -9,10 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 from urllib.parse import parse_qs, urlsplit
 
 import psutil
 import zenoh
+from eigenscan.cli.entry import ENDING, SIGNALLED
 from eigenscan.cli.launch.network import open_hub
 from eigenscan.cli.launch.screen import StatusLine, error_text
 from eigenscan.cli.launch.services import Pipeline, viewer_link, wait_until_ready
@@ -97,19 +99,25 @@ class Demonstration:
             )
             pipeline.start(supervisor)
             if not wait_until_ready(supervisor, pipeline.services, view, self._line, self._stop):
-                raise StoppedError(EARLY)
+                self._end_early()
             stack.callback(self._bus_of(session).close)
             if link := viewer_link(supervisor):
                 self._line.keep(f"watch it here: {link}")
                 self._wait_for_viewer(supervisor, link)
             sightings = self._play(view, supervisor)
             if self._stop.stopping:
-                raise StoppedError(EARLY)
+                self._end_early()
             supervisor.stop(keep=["recorder"] if self._viewer else [])
             found = self._conclude(sightings)
             if self._viewer:
                 self._stay(supervisor)
             return found
+
+    def _end_early(self) -> NoReturn:
+        """Raises what the signal that ended it stands for."""
+        if self._stop.number in ENDING:
+            raise SystemExit(SIGNALLED + self._stop.number)
+        raise StoppedError(EARLY)
 
     def _bus_of(self, session: zenoh.Session) -> Bus:
         """A bus whose inbox receives the tracks."""
