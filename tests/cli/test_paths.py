@@ -44,6 +44,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("view drive.mcap --no-open --rrd link.mcap", "--rrd link.mcap", "drive.mcap"),
         ("simulate map.yaml -o map.yaml --seconds 1", "--out map.yaml", "map.yaml"),
         ("simulate -o a.mcap --truth a.mcap --seconds 1", "--out a.mcap", "map.yaml"),
+        ("simulate map.yaml -o map.pgm --seconds 1", "--out map.pgm", "map.pgm"),
+        (
+            "simulate --truth a.tum --robots 2 --json a-robot1.tum --seconds 1",
+            "--truth a.tum: a-robot1.tum would overwrite",
+            "map.yaml",
+        ),
+        ("map drive.mcap -o new.yaml --json new.tum", "-o new.yaml: would overwrite new.tum", "map.yaml"),
         (
             "evaluate drive.mcap map.yaml --save-poses truth.tum --ground-truth truth.tum",
             "truth",
@@ -199,6 +206,14 @@ def test_more_pictures_than_can_be_drawn(folder: Path) -> None:
         ("play drive.mcap --wait 0 --site a/b", "--site 'a/b': a name has no blanks"),
         ("simtest --robots 100000", "less than or equal to 100"),
         ("simulate -o a.mcap --seconds inf", "--seconds"),
+        ("simulate -o a.mcap --seconds 1 --speed 2", "--speed 2: give --live as well"),
+        ("evaluate drive.mcap --poses truth.tum --spacing 0.2", "--spacing: has no effect with --poses"),
+        ("evaluate drive.mcap --save-runs runs --skip windows", "--skip: has no effect with --save-runs"),
+        ("repair .", ".: is a folder: name one of its recordings"),
+        ("doctor --json map.yaml/a.json", "map.yaml"),
+        ("models list . --json map.yaml/a.json", "map.yaml"),
+        ("fleet status --once --json map.yaml/a.json", "map.yaml"),
+        ("fleet relocate r1 --search --json map.yaml/a.json", "map.yaml"),
         ("play drive.mcap --wait 0 --from 1e308", "--from"),
         ("play drive.mcap --wait 0 --robots 1000000000", "--robots"),
         ("view drive.mcap --no-open --rrd a.mcap --at 1e308", "--at"),
@@ -215,7 +230,7 @@ def test_more_pictures_than_can_be_drawn(folder: Path) -> None:
         ("simulate -o a.mcap --seconds 1 --drift inf", "--drift"),
         ("simulate -o a.mcap --seconds 1 --noise 1e308", "--noise"),
         ("simulate -o a.mcap --seconds 1 --save-map new.pgm", "--save-map new.pgm: the image goes there"),
-        ("simulate map.yaml --seconds 1 --save-map map.pgm", "--save-map map.pgm: the image goes there"),
+        ("simulate map.yaml --seconds 1 --save-map other.pgm", "--save-map other.pgm: the image goes there"),
         ("simulate -o map.pgm --seconds 1 --save-map map.yml", "map.pgm would overwrite map.pgm"),
     ],
 )
@@ -223,6 +238,7 @@ def test_what_cannot_be_is_refused_before_the_work(folder: Path, typed: str, wor
     result = eigenscan(*shlex.split(typed))
     assert result.returncode == 2, result.stderr
     assert words in result.stderr
+    assert not result.stdout
     assert not (folder / "a.mcap").exists()
 
 

@@ -138,7 +138,7 @@ def test_a_service_that_dies_ends_the_demo_with_its_name_and_last_log_lines(tmp_
     ("number", "code", "words"),
     [
         (signal.SIGINT, 130, "eigenscan demo: ended by Ctrl-C: before the robot was found again\n"),
-        (signal.SIGTERM, -signal.SIGTERM, ""),
+        (signal.SIGTERM, 128 + signal.SIGTERM, ""),
     ],
 )
 def test_the_demo_can_be_ended_while_it_starts(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from eigenscan.cli.command_group import EXIT_FAILED
-from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.names import Site
 from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import DEFAULT_SITE
@@ -39,6 +39,7 @@ def doctor(
       eigenscan doctor --site hospital --zenoh deploy/site.json5
       eigenscan doctor --site hospital --robot r1 --robot r2 --json -
     """  # noqa: D301 - \b keeps the lines apart in --help
+    prepare(json_file)
     found = [
         *_of_this_machine(),
         *_of_certificates(zenoh),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -120,6 +121,19 @@ def evaluate(
     """  # noqa: D301 - \b keeps the lines apart in --help
     log = positional("LOG", log, log_option)
     claims_only = poses is not None or save_runs is not None
+    if claims_only:
+        _refuse_without_effect(
+            "--poses" if poses else "--save-runs",
+            {
+                "--set": changes,
+                "--settings": settings_file,
+                "--method": method != "default",
+                "--spacing": spacing,
+                "--skip": skip,
+                "--single-scans": single_scans,
+                "--save-poses": save_poses,
+            },
+        )
     map_file = (optional if claims_only else positional)("MAP", map_file, map_option)
     unknown = sorted(set(skip or ()) - set(PARTS))
     if unknown:
@@ -180,3 +194,10 @@ def evaluate(
     if wants_words(json_file):
         show(figures, f"{log} on {map_file}", console)
     write_figures(figures, json_file)
+
+
+def _refuse_without_effect(way: str, ours: Mapping[str, object]) -> None:
+    """Raises UsageError for an option of our own pipeline, which does not run this way."""
+    for option, given in ours.items():
+        if given:
+            raise UsageError(f"{option}: has no effect with {way}: leave it out")

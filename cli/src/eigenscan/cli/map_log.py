@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from eigenscan.cli.figures import JsonFile, prepare, print_rows, write_figures
+from eigenscan.cli.figures import JsonFile, prepare, print_rows, wants_words, write_figures
 from eigenscan.cli.log_options import LidarTopics, LogFile, OdometryTopic
 from eigenscan.cli.paths import is_same
 from eigenscan.runtime.errors import UsageError
@@ -78,7 +78,8 @@ def map_log(
         raise UsageError(f"-o {target}: name a .yaml file, such as {target.with_suffix('.yaml')}")
     if on is not None and of is not None:
         raise UsageError("--composite takes scans without order; --on needs a drive: give one of them")
-    _check_outputs(target, [log, *([on] if on else [])], force)
+    others = [path for path in (log, on, json_file) if path and wants_words(path)]
+    _check_outputs(target, others, force)
     if of is None:
         check_installed()
     prepare(json_file)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -67,6 +67,7 @@ def models(
     from eigenscan.eigenspace.versions import accept, choose, choose_proposal, replace, versions
     from eigenscan.runtime.errors import UsageError
 
+    prepare(json_file)
     if action is Action.LIST:
         if version is not None:
             raise UsageError(f"list takes no version, {version!r} was given: eigenscan models list {folder}")

@@ -30,6 +30,7 @@ def check(parameters: list[Any], values: Mapping[str, Any]) -> None:
     given = [(parameter.name, named) for parameter in parameters for named in _named(parameter, values)]
     written = [named for name, named in given if name in WRITTEN]
     read = [named for name, named in given if name not in WRITTEN]
+    read += [(f"the image {image}", image) for _, path in read for image in _images_beside(path)]
     for shown, path in read:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise UsageError(f"{shown}: is no file that can be read to its end: name a file or a folder")
@@ -51,11 +52,23 @@ def check_map_output(shown: str, path: Path, others: Iterable[Path]) -> None:
     image = path.with_suffix(".pgm")
     if path.suffix == ".pgm":
         raise UsageError(f"{shown} {path}: the image goes there: name a .yaml")
-    for other in others:
-        if is_same(image, other):
-            raise UsageError(f"{shown} {path}: {image.name} would overwrite {other}: name another file")
+    check_others(f"{shown} {path}", image, others)
     if image.exists() and not path.exists():
         raise UsageError(f"{shown} {path}: {image.name} is there already: name another file")
+
+
+def _images_beside(path: Path) -> list[Path]:
+    """Images that a map_server yaml at `path` may name, as map savers name them."""
+    if path.suffix not in (".yaml", ".yml"):
+        return []
+    return [image for end in (".pgm", ".png") if (image := path.with_suffix(end)).exists()]
+
+
+def check_others(shown: str, path: Path, others: Iterable[Path]) -> None:
+    """Raises UsageError where `path`, which a command writes besides, is one of `others`."""
+    for other in others:
+        if is_same(path, other):
+            raise UsageError(f"{shown}: {path.name} would overwrite {other}: name another file")
 
 
 def _is_recorded(path: Path) -> bool:

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
+from eigenscan.runtime.errors import UsageError
 
 
 def repair(
@@ -32,6 +33,8 @@ def repair(
     from eigenscan.runtime.repair import is_sound
     from eigenscan.runtime.repair import repair as save
 
+    if file.is_dir():
+        raise UsageError(f"{file}: is a folder: name one of its recordings")
     target = out or file.with_name(f"{file.stem}{REPAIRED}")
     prepare(json_file)
     with _progress(file) as passed:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from eigenscan.cli.figures import JsonFile, prepare, write_figures
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.former import optional
 from eigenscan.cli.names import check_names
-from eigenscan.cli.paths import check_map_output
+from eigenscan.cli.paths import check_map_output, check_others
 from eigenscan.runtime.errors import UsageError
 from eigenscan.schemas.channels import DEFAULT_ROBOT, DEFAULT_SITE
 
@@ -130,10 +130,14 @@ def simulate(
     check_names(robot, site)
     if not (out or truth or save_map or live):
         raise UsageError("nothing to do: give -o FILE.mcap, --truth FILE.tum, --save-map FILE.yaml or --live")
+    if not live and (zenoh or speed != 1.0):
+        raise UsageError(f"{f'--zenoh {zenoh}' if zenoh else f'--speed {speed:g}'}: give --live as well")
     if kidnap is not None and not 0 < kidnap < seconds:
         raise UsageError(f"--kidnap {kidnap:g}: give a second between 0 and --seconds {seconds:g}")
+    named = [path for path in (map_file, out, json_file) if path and wants_words(path)]
     if save_map:
-        check_map_output("--save-map", save_map, [path for path in (map_file, out, truth, json_file) if path])
+        check_map_output("--save-map", save_map, [*named, *([truth] if truth else [])])
+        named += [save_map, save_map.with_suffix(".pgm")]
     from eigenscan.geometry.gridmap import write_map
     from eigenscan.workbench.simulation.robot import OdometryNoise
     from eigenscan.workbench.simulation.stage import Fleet, Scenario
@@ -152,13 +156,15 @@ def simulate(
         robot=robot,
     )
     fleet = Fleet(_with_boxes(grid, boxes, seed), scenario, robots)
-    if save_map:
-        write_map(grid, save_map)
     truths: dict[str, Path] = {}
     for stage in fleet.stages if truth else ():
         assert truth is not None
         name = f"{truth.stem}-{stage.scenario.robot}{truth.suffix}" if robots > 1 else truth.name
         truths[stage.scenario.robot] = truth.with_name(name)
+        check_others(f"--truth {truth}", truths[stage.scenario.robot], named)
+    if save_map:
+        write_map(grid, save_map)
+    for stage in fleet.stages if truth else ():
         _write_truth(stage, truths[stage.scenario.robot])
     if out:
         _record(fleet, out, {"seed": str(seed), "map_version": grid.version})

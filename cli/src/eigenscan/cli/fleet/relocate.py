@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.names import Site
 from eigenscan.runtime.errors import FailedError, UsageError
 from eigenscan.schemas.channels import DEFAULT_SITE, RELOCATION, is_chunk
@@ -58,6 +58,7 @@ def relocate(
         raise UsageError(f"--pose {pose}: give finite numbers")
     if not is_chunk(robot):
         raise UsageError(f"{robot!r}: is no robot's name; give one robot")
+    prepare(json_file)
     with FleetView(connect(zenoh), site) as view:
         _wait_for_tracker(view, robot, seconds)
         before, begun = _taken_up(view, robot), time.monotonic()

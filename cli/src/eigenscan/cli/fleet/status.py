@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from eigenscan.cli.figures import JsonFile, wants_words, write_figures
+from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.names import Site
 from eigenscan.runtime.errors import FailedError
 from eigenscan.runtime.printable import printable
@@ -47,6 +47,7 @@ def status(
     from rich.console import Console
     from rich.live import Live
 
+    prepare(json_file)
     console = Console()
     with FleetView(connect(zenoh), site, robots_in(zenoh)) as view:
         if once or json_file is not None:
