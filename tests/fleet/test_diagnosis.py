@@ -110,6 +110,15 @@ def test_two_machines_under_one_name_are_a_fault_and_a_restart_is_none() -> None
     assert any("two machines publish under this name" in each.what for each in diagnose(view))
 
 
+def test_what_a_service_counts_grows_from_0_after_a_restart() -> None:
+    """Lost messages were "-899 so far"."""
+    view = site(tracker="no scan")
+    (tracker,) = view.services.values()
+    for n, count in enumerate((900, 1, 3)):
+        tracker.receive(Health(counters={"undecodable": count}), time.monotonic() + n)
+    assert tracker.grew("undecodable") == 3
+
+
 def test_a_map_that_gets_smaller_is_no_second_machine() -> None:
     """A mapbuilder that learned twice in a few seconds was two machines."""
     view = site(mapbuilder="no map")

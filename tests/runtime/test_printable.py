@@ -5,7 +5,7 @@ import os
 import pytest
 from eigenscan.runtime.errors import one_line
 from eigenscan.runtime.logs import configure
-from eigenscan.runtime.printable import MOST, printable
+from eigenscan.runtime.printable import MOST, in_link, printable
 
 
 @pytest.mark.parametrize(
@@ -48,3 +48,10 @@ def test_a_disk_that_cannot_be_written_is_named_with_what_to_do() -> None:
     """A service began its line with [Errno 30]."""
     error = OSError(errno.EROFS, os.strerror(errno.EROFS), "recordings/a.mcap")
     assert one_line(error) == "recordings/a.mcap: Read-only file system: name another place"
+
+
+@pytest.mark.parametrize(
+    ("host", "shown"), [("10.0.0.5", "10.0.0.5"), ("::1", "[::1]"), ("robot.example", "robot.example")]
+)
+def test_an_address_of_ip_version_6_has_brackets_in_a_link(host: str, shown: str) -> None:
+    assert in_link(host) == shown

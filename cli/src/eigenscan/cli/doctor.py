@@ -11,6 +11,7 @@ import typer
 from eigenscan.cli.command_group import EXIT_FAILED
 from eigenscan.cli.figures import JsonFile, prepare, wants_words, write_figures
 from eigenscan.cli.names import Site
+from eigenscan.runtime.errors import UsageError
 from eigenscan.runtime.printable import printable
 from eigenscan.schemas.channels import DEFAULT_SITE
 
@@ -76,7 +77,7 @@ def _of_certificates(zenoh: Path | None) -> list[Finding]:
         return []
     try:
         from eigenscan.fleet.expiry import of_certificates
-    except ModuleNotFoundError:  # eigenscan[fleet] is not installed
+    except UsageError:  # eigenscan[fleet] is not installed
         return []
     return list(of_certificates(zenoh))
 

@@ -128,6 +128,7 @@ class Service:
         """Takes its next health, at `now`, monotonic s."""
         if self.health is not None and has_fallen(self.health.counters, health.counters):
             self.falls.append(now)
+            self.first = Health()  # it counts from 0 again
         self.first = self.first or health
         self.health, self.received_at = health, now
 

@@ -37,6 +37,7 @@ from eigenscan.runtime.latched_cache import ASIDE, FAILED_STARTS, LatchedCache
 from eigenscan.runtime.logs import configure, logger
 from eigenscan.runtime.memory import StartMemory
 from eigenscan.runtime.port import NoPort, Port
+from eigenscan.runtime.printable import in_link
 from eigenscan.runtime.receive_watchdog import EXIT_DEAF, ReceiveWatchdog
 from eigenscan.runtime.session import open_meanwhile
 from eigenscan.runtime.settings import ServiceSettings, SettingsError, load
@@ -227,8 +228,7 @@ class Node:
         settings = self.settings
         if settings.metrics_port is not None:
             port = self._monitor.serve(settings.metrics_host, settings.metrics_port)
-            host = f"[{settings.metrics_host}]" if ":" in settings.metrics_host else settings.metrics_host
-            self._log.info("metrics", url=f"http://{host}:{port}/metrics")
+            self._log.info("metrics", url=f"http://{in_link(settings.metrics_host)}:{port}/metrics")
 
     def close(self, seconds: float) -> bool:
         """Closes port, bus and metrics; returns whether that took less than `seconds`."""

@@ -19,3 +19,8 @@ def printable(text: str) -> str:
 def shortened(text: str, most: int) -> str:
     """`text` of at most so many characters, and a mark where it is cut."""
     return text if len(text) <= most else f"{text[:most]}…"
+
+
+def in_link(host: str) -> str:
+    """A host as links have it: an IPv6 address in brackets (RFC 3986, 3.2.2)."""
+    return f"[{host}]" if ":" in host else host

@@ -36,6 +36,7 @@ def metrics(
     from eigenscan.fleet.configuration import robots_in
     from eigenscan.fleet.view import FleetView, connect, no_service
     from eigenscan.runtime.errors import UsageError
+    from eigenscan.runtime.printable import in_link
     from eigenscan.runtime.stop_event import StopEvent
     from prometheus_client import CollectorRegistry, start_http_server
 
@@ -50,8 +51,10 @@ def metrics(
         try:
             server, _ = start_http_server(port, host, registry)
         except OSError as error:
-            raise UsageError(f"--port {port}: cannot listen on {host}: {error.strerror}") from error
-        typer.echo(f"http://{host}:{server.server_port}/metrics")
+            raise UsageError(
+                f"--port {port}: cannot listen on {host}: {error.strerror}: choose another, or another --host"
+            ) from error
+        typer.echo(f"http://{in_link(host)}:{server.server_port}/metrics")
         silent_since: float | None = time.monotonic()
         while not stop.stopping:
             stop.wait(UPDATE_S)

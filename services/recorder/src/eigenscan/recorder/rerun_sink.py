@@ -13,6 +13,7 @@ from eigenscan.recorder.core import Sink
 from eigenscan.recorder.options import RecorderOptions
 from eigenscan.recorder.picture.drawing import Picture
 from eigenscan.recorder.web_viewer import Viewer, free_port, serve_viewer
+from eigenscan.runtime.printable import in_link
 from eigenscan.schemas.envelope import Envelope
 
 APPLICATION = "eigenscan"
@@ -103,7 +104,7 @@ class RerunSink(Sink):
         page = free_port("viewer_port", host, page_port)
         self._viewer = self._closing.enter_context(serve_viewer(host, page, data))
         return rr.GrpcServerSink(
-            host,
+            in_link(host),
             data,
             server_memory_limit=settings.viewer_memory,
             cors_allow_origin=[settings.viewer_origin] if settings.viewer_origin else None,

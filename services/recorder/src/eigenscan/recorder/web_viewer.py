@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
 import rerun_cli  # type: ignore[import-untyped]
+from eigenscan.runtime.printable import in_link
 from eigenscan.runtime.settings import SettingsError
 
 PR_SET_PDEATHSIG = 1
@@ -27,21 +28,21 @@ STOP_S = 0.3
 
 def free_port(field: str, host: str, port: int) -> int:
     """`port`, or a free one if it is 0. Raises SettingsError if it is in use."""
-    with socket.socket() as probe:
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
         except OSError as error:
             raise SettingsError(
                 f"{field} = {port}: cannot serve on {host} ({error.strerror}): "
-                "choose another, or 0 for a free one"
+                "choose another, or 0 for a free one, or another viewer_host"
             ) from error
         return int(probe.getsockname()[1])
 
 
 def seen_at(host: str) -> str:
     """The address at which this machine's browser finds what is served on `host`."""
-    return "127.0.0.1" if host == "0.0.0.0" else host
+    return in_link({"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host))
 
 
 @dataclass(frozen=True)
