@@ -1,5 +1,6 @@
 """A latched sample of a publisher that is gone, which arrives after its successor's."""
 
+import pytest
 from eigenscan.runtime.bus import Bus
 from eigenscan.runtime.inbox import Inbox
 from eigenscan.schemas.channels import MODEL_SET
@@ -12,7 +13,8 @@ from eigenscan.workbench.simtest.network import Network
 ADDRESS = {"site": "s"}
 
 
-def test_the_present_publisher_has_the_last_word() -> None:
+@pytest.mark.parametrize("set_back_s", [0, 3600])
+def test_the_present_publisher_has_the_last_word(set_back_s: int) -> None:
     """Seed 1568: a mapbuilder was restarted with another map, and its old map took 1.9 s."""
     agenda = Agenda()
     network, clock, inbox = Network(agenda, "1"), MachineClock(agenda), Inbox()
@@ -39,6 +41,7 @@ def test_the_present_publisher_has_the_last_word() -> None:
     before = publish("old")
     agenda.run(0.5)
     before.close()
+    clock.offset_ns -= set_back_s * 10**9
     network.link("site", "site").extra_s = 0.0
     publish("new")
     for second in range(1, 5):
@@ -80,6 +83,31 @@ def test_who_was_cut_off_takes_the_answer_of_a_successor_whose_clock_was_set_bac
     successor.publish(Envelope(MODEL_SET, ADDRESS, ModelSet(version="new")))
     network.mend(link)
     agenda.run(120.0)
+    received = []
+    while arrival := inbox.take(0.0):
+        message = decode(MODEL_SET, arrival.payload)
+        assert isinstance(message, ModelSet)
+        received.append(message.version)
+    assert received == ["old", "new"]
+
+
+def test_a_successor_is_asked_again_once_the_former_publisher_is_known_to_be_gone() -> None:
+    """Power was lost, so nobody ends the former one's token: a link takes ten seconds to be given up."""
+    agenda = Agenda()
+    network, clock, inbox = Network(agenda, "1"), MachineClock(agenda), Inbox()
+    former, robot = (Bus(network.open(name, clock), after=agenda.after) for name in ("a", "r"))  # type: ignore[arg-type]
+    robot.listen([MODEL_SET], ADDRESS, inbox)
+    former.offer([MODEL_SET], ADDRESS)
+    former.publish(Envelope(MODEL_SET, ADDRESS, ModelSet(version="old")))
+    network.cut(network.link("r", "b"))
+    agenda.run(60.0)
+    clock.offset_ns -= 3600 * 10**9
+    successor = Bus(network.open("b", clock), after=agenda.after)  # type: ignore[arg-type]
+    successor.offer([MODEL_SET], ADDRESS)
+    successor.publish(Envelope(MODEL_SET, ADDRESS, ModelSet(version="new")))
+    network.cut(network.link("a", "r"))
+    network.mend(network.link("r", "b"))
+    agenda.run(180.0)
     received = []
     while arrival := inbox.take(0.0):
         message = decode(MODEL_SET, arrival.payload)

@@ -113,6 +113,7 @@ def test_an_instance_is_named_after_its_robot() -> None:
         (["--robot", "*,b"], ["* and b fit the same robots"]),
         (["--beams", "x", "--spacing", "y"], ["--beams = 'x'", "--spacing = 'y'"]),
         (["--keep", ""], ["--keep = ''", "give a path, or leave it out"]),
+        (["--config", ""], ["--config = ''", "give a path, or leave it out"]),
         (["--config", "none.toml"], ["none.toml: cannot be read", "No such file", "--config"]),
     ],
 )

@@ -265,7 +265,7 @@ def _forget_some(work: Work, arrival: Arrival) -> None:
 
 def _ok_until_fed(work: Work) -> Condition:
     found = WORK_CONDITION(work)
-    return Condition(Health.STATUS_OK, "", found.counters) if work._fed_at == -math.inf else found
+    return Condition(Health.STATUS_OK, "", found.counters) if work._fed_at is None else found
 
 
 WORK_HANDLE, WORK_CONDITION = Work._handle, Work._condition

@@ -217,8 +217,7 @@ class Bus:
 
         def on_token(token: Any) -> None:
             stands = token.kind == zenoh.SampleKind.PUT
-            intake.on_token(str(token.key_expr).rpartition("/")[2], stands=stands)
-            if not stands:
+            if not intake.on_token(str(token.key_expr).rpartition("/")[2], stands=stands):
                 return
             if intake.digests() and patience_s:
                 self._after(patience_s, ask)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import Any
@@ -16,6 +17,8 @@ from google.protobuf.message import Message
 
 MOST_LISTED = 2**16
 """Samples that one may hold: a region of a site each. A stranger's list may be of any length."""
+MOST_GONE = 1000
+"""Sessions that are known to have ended. A stranger's tokens may come and go without end."""
 
 
 class Intake:
@@ -28,8 +31,10 @@ class Intake:
         }
         self._inbox = inbox
         self._newest: dict[str, Any] = {}  # zenoh.Timestamp; its stub lacks the comparison
-        self._gone: set[str] = set()
-        """Sessions whose samples are held, and whose token has ended."""
+        self._gone: deque[str] = deque(maxlen=MOST_GONE)
+        """Sessions whose token has ended."""
+        self._preferred: set[str] = set()
+        """Sessions whose samples were held against an older answer of another one."""
         self._lock = threading.Lock()
         self.ask_again: dict[str, Callable[[], None]] = {}
         """By a latched channel's name: queries all who publish it now."""
@@ -39,13 +44,14 @@ class Intake:
         with self._lock:
             return list(self._held.values())
 
-    def on_token(self, session: str, *, stands: bool) -> None:
-        """A session that answers queries came, or went."""
+    def on_token(self, session: str, *, stands: bool) -> bool:
+        """A session that answers queries came, or went; whether to query all who publish now."""
         with self._lock:
-            if stands:
-                self._gone.discard(session)
-            elif any(str(stamp.get_id()) == session for stamp in self._newest.values()):
-                self._gone.add(session)
+            if session in self._gone:
+                self._gone.remove(session)
+            if not stands:
+                self._gone.append(session)
+            return stands or session in self._preferred  # what was refused for its sake counts now
 
     def on_sample(self, sample: Any) -> None:
         """Takes a live sample."""
@@ -104,7 +110,8 @@ class Intake:
             if self._is_news(key, stamp, live):
                 self._inbox.put(channel, key, payload, declared, message, time)
                 self._held[key] = digest(payload)
-        if live and before and stamp and stamp < before and before.get_id() != stamp.get_id():
+        of_other = live and before and stamp and before.get_id() != stamp.get_id()
+        if of_other and (stamp < before or str(stamp.get_id()) in self._gone):
             # its clock is behind, or it is gone and its sample came late: only who is there answers
             self.ask_again.get(channel.name, _nobody)()
 
@@ -118,8 +125,11 @@ class Intake:
             return True
         held = self._newest.get(key)
         if held is not None and stamp <= held:
-            of_other = held.get_id() != stamp.get_id()
-            if not (of_other and (live or str(held.get_id()) in self._gone)):
+            if held.get_id() == stamp.get_id():
+                return False
+            holder = str(held.get_id())
+            if not live and holder not in self._gone:
+                self._preferred.add(holder)
                 return False
         self._newest[key] = stamp
         return True

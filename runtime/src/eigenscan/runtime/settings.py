@@ -34,6 +34,8 @@ M = TypeVar("M", bound=BaseModel)
 
 LAST_PORT = 65535
 
+NO_PATH = "must not be empty: give a path, or leave it out"
+
 _SERVED = frozenset(("site", "robot", "instance"))
 """Settings that form the keys of a service's core."""
 
@@ -126,7 +128,7 @@ class ServiceSettings(Settings):
     def _no_empty_path(cls, value: Any, info: ValidationInfo) -> Any:
         """Refuses a path of no characters: it would mean the working folder."""
         if value == "" and _is_path(cls.model_fields[str(info.field_name)].annotation):
-            raise ValueError("must not be empty: give a path, or leave it out")
+            raise ValueError(NO_PATH)
         return value
 
     @field_validator("site", "instance")
@@ -165,6 +167,8 @@ def load(kind: type[S], service: str, arguments: list[str] | None = None) -> S:
     """
     flags = _flags(kind, service, sys.argv[1:] if arguments is None else arguments)
     config = flags.pop("config", None)
+    if config and not config.value:
+        raise SettingsError(f"--config = '': {NO_PATH}")
     path = config.value if config else os.environ.get("EIGENSCAN_CONFIG")
     given = read_table(kind, service, Path(path)) if path else {}
     return validated(kind, given | _environment(kind, service) | flags)
