@@ -64,8 +64,8 @@ def test_who_writes_to_a_terminal_that_was_closed_goes_on() -> None:
     command = [sys.executable, "-c", WRITES_ON]
     with subprocess.Popen(command, stdout=terminal, stderr=subprocess.PIPE, text=True) as process:
         os.close(terminal)
-        assert os.read(ours, 100).startswith(b"ready")
-        os.close(ours)
+        with os.fdopen(ours, "rb", buffering=0) as terminal_end:
+            assert terminal_end.readline().startswith(b"ready")
         process.send_signal(signal.SIGHUP)
         assert process.communicate(timeout=60)[1] == ""
     assert process.returncode == signal.SIGHUP

@@ -116,7 +116,7 @@ def test_by_default_it_starts_the_bridge_with_its_own_parameters(launch_file: di
     )
     assert options["together"] is False
     given = yaml.safe_load((PACKAGE / "params/eigenscan.yaml").read_text())["eigenscan"]["ros__parameters"]
-    assert {name for name in flags["ros-bridge"] if name.startswith("--")} == {
+    assert {flag.partition("=")[0] for flag in flags["ros-bridge"]} == {
         f"--{name.replace('_', '-')}" for name in given
     }
     assert (process.respawn, process.additional_env) == (False, {"EIGENSCAN_LOG_LEVEL": "info"})
@@ -134,13 +134,13 @@ def test_nav2s_own_parameters_count(launch_file: dict[str, Any], section: list[s
     assert options["map_or_model"] is None
     assert (options["ros2"], options["together"], process.respawn) == ("ros2dds", True, True)
     assert process.additional_env == {"EIGENSCAN_LOG_LEVEL": "warning"}
-    bridge = dict(zip(flags["ros-bridge"][::2], flags["ros-bridge"][1::2], strict=True))
+    bridge = dict(flag.split("=", 1) for flag in flags["ros-bridge"])
     assert bridge == {
         "--base-frame": "base_footprint", "--odom-frame": "wheels", "--tf-broadcast": "false",
         "--scan": '["front/scan"]', "--namespace": "/r17",
         "--start-known": "true", "--start-x": "2.0", "--start-y": "-1.5", "--start-yaw": "0.7",
     }  # fmt: skip
-    assert flags["mapbuilder"] == ["--frame-id", "site"]
+    assert flags["mapbuilder"] == ["--frame-id=site"]
 
 
 @pytest.mark.parametrize(
