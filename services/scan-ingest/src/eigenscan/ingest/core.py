@@ -25,6 +25,7 @@ from eigenscan.geometry.normalize import (
     resample,
 )
 from eigenscan.ingest.deskew import Deskew, Timing
+from eigenscan.ingest.robot_body import RobotBody
 from eigenscan.ingest.settings import EVERY_LIDAR, ScanIngestSettings
 from eigenscan.ingest.watch import FROZEN, Watch
 from eigenscan.schemas.channels import SCAN, SCAN_MOTION, SCAN_RAW, Channel, ContractError
@@ -71,6 +72,7 @@ class _Lidar:
     published: int = 0
     watch: Watch = field(default_factory=Watch)
     deskew: Deskew = field(default_factory=Deskew)
+    body: RobotBody = field(default_factory=RobotBody)
     recent: deque[str] = field(default_factory=lambda: deque(maxlen=RECENT))  # why set aside, or ""
     received: int = 0  # how many scans of all lidars were received when its last one was
 
@@ -142,14 +144,15 @@ class ScanIngestCore:
         counters = dict(self._counts)
         if not len(self._lidars):
             return Condition(Health.STATUS_WAITING, "no scan received yet", counters)
-        faults = [
-            f"lidar {robot}/{name} {lidar.fault}"
+        sending = [
+            (f"lidar {robot}/{name}", lidar)
             for (robot, name), lidar in self._lidars.items()
-            if self._counts["heard"] - lidar.received <= SILENT * len(self._lidars) and lidar.fault
+            if self._counts["heard"] - lidar.received <= SILENT * len(self._lidars)
         ]
-        if faults:
+        if faults := [f"{name} {lidar.fault}" for name, lidar in sending if lidar.fault]:
             return Condition(Health.STATUS_DEGRADED, "; ".join(faults[:3]), counters)
-        return Condition(Health.STATUS_OK, "", counters)
+        notes = [f"{name} {lidar.body.note}" for name, lidar in sending if lidar.body.note]
+        return Condition(Health.STATUS_OK, "; ".join(notes[:3]), counters)
 
     def _set_aside(self, lidar: _Lidar, reason: str) -> Iterable[Envelope]:
         self._counts[f"set_aside_{reason}"] += 1
@@ -173,6 +176,7 @@ class ScanIngestCore:
             self._counts["identical_scans"] += 1
         if moved is not None and moved.fits:
             x, y, theta = moved.delta
+            lidar.body.turn(theta)
             (xx, xy, xt), (_, yy, yt), (_, _, tt) = moved.covariance.tolist()
             message.motion.CopyFrom(Pose2(x=x, y=y, theta=theta))
             message.covariance.CopyFrom(Covariance3(xx=xx, xy=xy, xt=xt, yy=yy, yt=yt, tt=tt))
@@ -190,6 +194,7 @@ class ScanIngestCore:
         range_min, range_max = self._limits(raw)
         sweep = orient(Sweep(self._ranges(raw), raw.angle_min, raw.angle_increment), upside_down)
         sweep = Sweep(limit(sweep.ranges, range_min, range_max), sweep.angle_min, sweep.angle_increment)
+        sweep = lidar.body.without(sweep)
         if np.isnan(sweep.ranges).all():
             raise ScanError("no_valid_range")
         step, sweep = sweep.angle_increment, own_beams(sweep)
