@@ -53,3 +53,24 @@ entry.main()
 @pytest.mark.parametrize(("before", "code"), [(IGNORING, 0), (HEEDING, -signal.SIGHUP)])
 def test_nohup_is_heeded(before: str, code: int) -> None:
     assert subprocess.run([sys.executable, "-c", before + SIGNALLED], check=False).returncode == code
+
+
+SWALLOWED = """
+import ctypes, os, signal, time
+from eigenscan.cli import entry, main
+
+def app():
+    ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), {number}))()  # as numba's compiler calls back
+    time.sleep(600)
+
+main.app = app
+entry.main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_comes_in_a_callback_of_compiled_code_ends_the_command(number: signal.Signals) -> None:
+    """`evaluate` went on for minutes where SIGTERM came as numba compiled."""
+    program = HEEDING + SWALLOWED.format(number=int(number))
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (-number, b"")

@@ -19,6 +19,8 @@ SIGNALLED = 128
 """Exit code, as shells have it, of a process that a signal ended, less the signal's number."""
 EXIT_STOPPED = SIGNALLED + signal.SIGINT
 """Exit code after Ctrl-C."""
+AGAIN_S = 0.1
+"""After which a signal is sent again."""
 EXIT_UNREAD = 141
 """Exit code where the reader of standard output ended first, as shells have it after SIGPIPE."""
 
@@ -37,6 +39,7 @@ def main() -> None:
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
             signal.signal(number, _unwind)
+    sys.unraisablehook = _send_again
     code = 0
     if os.environ.get("COLUMNS") == "0":  # some terminals do not know their width; nothing fits in none
         del os.environ["COLUMNS"]
@@ -75,6 +78,25 @@ def _unwind(number: int, _: object) -> None:
     for each in ENDING:  # a closed terminal may send both
         signal.signal(each, lambda *_: None)  # not SIG_IGN, which a child would inherit
     raise SystemExit(SIGNALLED + number)
+
+
+def _send_again(swallowed: sys.UnraisableHookArgs) -> None:
+    """Sends a signal again whose error was raised in a callback of compiled code, and lost there.
+
+    So numba's compiler has it: the command went on, and no later signal ended it.
+    """
+    error = swallowed.exc_value
+    if isinstance(error, KeyboardInterrupt):
+        number = signal.SIGINT
+    elif isinstance(error, SystemExit) and isinstance(error.code, int) and error.code - SIGNALLED in ENDING:
+        number = signal.Signals(error.code - SIGNALLED)
+        signal.signal(number, _unwind)
+    else:
+        sys.__unraisablehook__(swallowed)
+        return
+    again = threading.Timer(AGAIN_S, os.kill, (os.getpid(), number))
+    again.daemon = True
+    again.start()
 
 
 def _end(*_: object) -> None:
