@@ -70,8 +70,9 @@ def _names(pen: ImageDraw.ImageDraw, view: Backdrop, areas: Sequence[Area]) -> N
 
 
 def _legend(pen: ImageDraw.ImageDraw, view: Backdrop, areas: Sequence[Area]) -> None:
+    count = "1 region" if len(areas) == 1 else f"{len(areas)} regions"
     view.legend(
         pen,
-        f"{len(areas)} regions, {view.grid.free_area:.0f} m2 free; each outline is one region, its area "
+        f"{count}, {view.grid.free_area:.0f} m2 free; each outline is one region, its area "
         f"with what it shares with others;\neach dot a position with its panorama; names where they fit",
     )
